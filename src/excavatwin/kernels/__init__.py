@@ -1,0 +1,1 @@
+"""Loops: arrays in, arrays out. Nothing of ours is imported here."""
