@@ -74,7 +74,7 @@ def _lens(main: dict[int, Any], detail: dict[int, Any]) -> Lens:
         focal_mm=_positive(detail.get(FOCAL_LENGTH)),
         focal_35mm=_positive(detail.get(FOCAL_35MM)),
         pitch_mm=UNIT_MM.get(int(_positive(detail.get(PLANE_UNIT)) or 2), 25.4) / resolution if resolution else None,
-        recorded=(max(pixels), min(pixels)) if pixels[0] and pixels[1] else None,  # type: ignore[type-var]
+        recorded=(max(pixels), min(pixels)) if len(pixels) == 2 else None,
         zoom=max(zoom, 1.0),
     )
 
