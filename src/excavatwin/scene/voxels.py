@@ -34,6 +34,8 @@ class Voxels:
     """Mean evidence e_{j,s}(k)."""
     rgb: Float32[np.ndarray, "J 3"]
     """Mean colour, 0..255."""
+    footprint: Float32[np.ndarray, "J"]
+    """Finest footprint of a pixel among the views that see the voxel [m]."""
     centres: Float64[np.ndarray, "S 3"]
     """Camera centres [m]."""
     neighbours: Int32[np.ndarray, "J k"]

@@ -1,0 +1,1 @@
+"""Sec. "Geometric Spatial Processing": gravity, scale, voxels, local geometry, terrain envelope, objects."""

@@ -1,0 +1,77 @@
+"""The shared support: voxels of scene-adaptive size, the view samples on them, and their k-NN topology."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
+
+from excavatwin.errors import InputError
+from excavatwin.geometry.topology import nearest_neighbours
+from excavatwin.scene.points import Points
+from excavatwin.scene.voxels import Voxels
+
+#: Sizes that people like to read, per decade.
+_NICE = np.array([1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0])
+
+
+@dataclass(frozen=True)
+class Voxelize:
+    """Voxelize "at a scene-adaptive resolution" (docs/decisions/voxel-size.md)."""
+
+    footprints: float = 2.0
+    """Edge of a voxel in median pixel footprints of the scene."""
+    size: float | None = None
+    """Edge of a voxel [m], instead of ``footprints``."""
+    k: int = 24
+    """Neighbours of the topology."""
+
+    def __call__(self, points: Points, metric: bool) -> Voxels:
+        """Voxels in ascending grid order; voxel boundaries lie at multiples of the size.
+
+        Raises:
+            InputError: there are too few points, or the voxel size is not positive.
+        """
+        from excavatwin.kernels.voxel_hash import group_by_view, group_keys, group_means, pack
+
+        footprint = pixel_footprint(points)
+        size = self.size if self.size is not None else nice_size(self.footprints * float(np.median(footprint)), metric)
+        if not size > 0:
+            raise InputError(f"the voxel size is {size}; expected a positive length in metres.")
+        index = np.floor(points.xyz / np.float32(size)).astype(np.int64)
+        index -= index.min(axis=0)
+        if index.max() >= 1 << 21:
+            raise InputError(f"a voxel size of {size:g} is too small for this scene; give a larger one.")
+        of_point, distinct = group_keys(pack(index))
+        J = len(distinct)
+        if J <= 3:
+            raise InputError(f"the observations hold {len(points)} points in {J} voxels; expected thousands.")
+        sample, voxel, view = group_by_view(of_point, points.view, J)
+        M = len(voxel)
+        xyz = group_means(points.xyz, sample, M)
+        centre = group_means(xyz, voxel, J)
+        finest = np.full(J, np.inf, np.float32)
+        np.minimum.at(finest, of_point, footprint)
+        neighbours, distances = nearest_neighbours(centre, self.k, size)
+        return Voxels(
+            size=size, centre=centre, of_point=of_point, voxel=voxel, view=view, xyz=xyz,
+            confidence=group_means(points.confidence[:, None], sample, M)[:, 0],
+            evidence=group_means(points.evidence, sample, M),
+            rgb=group_means(points.rgb, of_point, J), footprint=finest, centres=points.centres,
+            neighbours=neighbours, distances=distances,
+        )  # fmt: skip
+
+
+def pixel_footprint(points: Points) -> Float32[np.ndarray, "N"]:
+    """Extent of every sample's pixel at its point, distance / focal [m]."""
+    ray = points.xyz - points.centres.astype(np.float32)[points.view]
+    return (np.linalg.norm(ray, axis=1) / points.focal[points.view]).astype(np.float32)
+
+
+def nice_size(size: float, metric: bool) -> float:
+    """The largest readable length not above ``size``; arbitrary units stay as they are, so that scaling commutes."""
+    if not metric or not np.isfinite(size) or size <= 0:
+        return size
+    decade = 10.0 ** np.floor(np.log10(size))
+    return float(np.round(decade * _NICE[size / decade * (1 + 1e-6) >= _NICE][-1], 9))

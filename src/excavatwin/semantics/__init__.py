@@ -1,0 +1,1 @@
+"""Sec. "Geometry-Semantic Fusion": projection, spatial consistency, reliability, vote, admissibility, decision."""
