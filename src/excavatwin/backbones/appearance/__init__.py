@@ -1,0 +1,5 @@
+"""Segmenter "appearance": training-free evidence for the task classes from colour and texture, without weights."""
+
+from excavatwin.backbones.appearance.segmenter import Appearance, Segmentation
+
+__all__ = ["Appearance", "Segmentation"]

@@ -1,0 +1,179 @@
+"""Cues: per-pixel quantities that colour and texture give, made robust against exposure, vignetting and tint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Shaped, UInt8
+
+#: Added to sums of channels: keeps ratios quiet where there is hardly any light [grey levels].
+DARK = 6.0
+
+
+@dataclass(frozen=True)
+class Cues:
+    """What is seen at every pixel of the working image."""
+
+    luminance: Float32[np.ndarray, "h w"]
+    """Mean of the channels, smoothed, 0..255."""
+    relative: Float32[np.ndarray, "h w"]
+    """Log luminance minus that of the surroundings (a tenth of the image): the illumination is taken out."""
+    green: Float32[np.ndarray, "h w"]
+    """Green leaf index (Louhaichi et al., Geocarto Int. 2001), less the tint of the neutral ground."""
+    warmth: Float32[np.ndarray, "h w"]
+    """(R-B)/(R+G+B)."""
+    chroma: Float32[np.ndarray, "h w"]
+    """(max-min)/(R+G+B)."""
+    plant_hue: Float32[np.ndarray, "h w"]
+    """1 for the hues of leaves, 0 for those of soil and yellow paint."""
+    texture: Float32[np.ndarray, "h w"]
+    """Standard deviation of log luminance in a small window."""
+    vivid: Float32[np.ndarray, "h w"]
+    """Saturated colours that neither soil nor plants have."""
+    paint: Float32[np.ndarray, "h w"]
+    """Yellow or orange machine paint."""
+    near_paint: Float32[np.ndarray, "h w"]
+    """Grey, dark or busy parts beside paint: tracks, cab, boom joints."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(h, w) of the working image."""
+        return self.luminance.shape[0], self.luminance.shape[1]
+
+
+def observe(image: UInt8[np.ndarray, "h w 3"]) -> Cues:
+    """All cues of an sRGB image at working size."""
+    side = max(image.shape[:2])
+    rgb = cv2.GaussianBlur(image.astype(np.float32), (0, 0), max(0.4, side / 640))
+    total = rgb.sum(-1) + DARK
+    luminance = total / 3
+    brightest, darkest = rgb.max(-1), rgb.min(-1)
+    chroma = (brightest - darkest) / total
+    warmth = (rgb[..., 0] - rgb[..., 2]) / total
+    hue, saturation = _hue_saturation(rgb)
+    log = np.log(luminance)
+    texture = _spread(np.log(image.astype(np.float32).mean(-1) + DARK / 2), odd(side / 71))
+    relative = log - cv2.GaussianBlur(log, (0, 0), side / 10)
+    paint, near = _machine(warmth, hue, saturation, brightest, texture, relative)
+    return Cues(
+        luminance=luminance,
+        relative=relative,
+        green=_greenness(rgb, total),
+        warmth=warmth,
+        chroma=chroma,
+        plant_hue=ramp(hue, 44.0, 56.0) * ramp(-hue, -190.0, -165.0),
+        texture=texture,
+        vivid=_vividness(hue, saturation, brightest),
+        paint=paint,
+        near_paint=near,
+    )
+
+
+def islands(
+    plant: Float32[np.ndarray, "h w"], largest: float = 0.012, smallest: float = 1e-4
+) -> Bool[np.ndarray, "h w"]:
+    """Compact patches that are not vegetation but lie in it: roofs, rocks, benches (or bare spots, which are flat).
+
+    Args:
+        plant: vegetation, 0..1.
+        largest: of the image's area.
+        smallest: of the image's area.
+    """
+    bare = cv2.morphologyEx((plant < 0.35).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    _, label, stats, _ = cv2.connectedComponentsWithStats(bare, connectivity=4)
+    area = stats[:, cv2.CC_STAT_AREA]
+    box = stats[:, cv2.CC_STAT_WIDTH] * stats[:, cv2.CC_STAT_HEIGHT]
+    compact = (area > smallest * bare.size) & (area < largest * bare.size) & (area > 0.4 * box)
+    compact[0] = False
+    return compact[label]
+
+
+def ramp(x: Float32[np.ndarray, "..."], low: float, high: float) -> Float32[np.ndarray, "..."]:
+    """0 below ``low``, 1 above ``high``, smooth between (cubic)."""
+    t = np.clip((x - low) / (high - low), 0, 1)
+    return (t * t * (3 - 2 * t)).astype(np.float32)
+
+
+def resized(
+    image: Shaped[np.ndarray, "h w *c"], width: int, height: int, exact: bool = False
+) -> Shaped[np.ndarray, "H W *c"]:
+    """``image`` at another size; ``exact`` invents no values between those that are there."""
+    if image.shape[:2] == (height, width):
+        return image
+    grows = width > image.shape[1]
+    mode = cv2.INTER_NEAREST if exact else cv2.INTER_LINEAR if grows else cv2.INTER_AREA
+    return np.asarray(cv2.resize(image, (width, height), interpolation=mode))
+
+
+def odd(size: float) -> int:
+    """The nearest odd window size, at least 3 [px]."""
+    return max(3, 2 * round((size - 1) / 2) + 1)
+
+
+def _greenness(rgb: Float32[np.ndarray, "h w 3"], total: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Green leaf index, zero on neutral ground. Cameras differ in tint by as much as dry grass differs from soil."""
+    index = (3 * rgb[..., 1] - total + DARK) / (total + rgb[..., 1])
+    ground = index[::4, ::4]
+    ground = ground[np.abs(ground) < 0.07]
+    if ground.size < 0.03 * index.size / 16:  # nothing but plants: no ground to read the tint from
+        return index
+    return index - np.float32(np.clip(np.percentile(ground, 25), -0.05, 0.01))
+
+
+def _hue_saturation(rgb: Float32[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Hue [deg] and saturation 0..1."""
+    hsv = cv2.cvtColor(rgb / 255, cv2.COLOR_RGB2HSV)
+    return hsv[..., 0], hsv[..., 1]
+
+
+def _spread(x: Float32[np.ndarray, "h w"], window: int) -> Float32[np.ndarray, "h w"]:
+    """Standard deviation in a square window."""
+    mean = cv2.blur(x, (window, window))
+    return np.sqrt(np.maximum(cv2.blur(x * x, (window, window)) - mean * mean, 0))
+
+
+def _vividness(
+    hue: Float32[np.ndarray, "h w"], saturation: Float32[np.ndarray, "h w"], brightest: Float32[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w"]:
+    red = np.maximum(ramp(-hue, -14.0, -6.0), ramp(hue, 285.0, 305.0)) * ramp(saturation, 0.22, 0.45)
+    blue = ramp(hue, 160.0, 175.0) * ramp(-hue, -310.0, -290.0) * ramp(saturation, 0.2, 0.4)
+    plastic = ramp(hue, 100.0, 125.0) * ramp(-hue, -180.0, -160.0) * ramp(saturation, 0.5, 0.7)
+    return np.maximum.reduce([red, blue, plastic]) * ramp(brightest, 25.0, 55.0)
+
+
+def _machine(
+    warmth: Float32[np.ndarray, "h w"],
+    hue: Float32[np.ndarray, "h w"],
+    saturation: Float32[np.ndarray, "h w"],
+    brightest: Float32[np.ndarray, "h w"],
+    texture: Float32[np.ndarray, "h w"],
+    relative: Float32[np.ndarray, "h w"],
+) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Paint, and what belongs to a machine beside it.
+
+    Faded paint in a dull photo is no yellower than ochre soil; but soil changes its colour slowly, while paint stands
+    beside glass, steel and tracks. So a moderate yellow counts only where the warmth varies strongly around it.
+    """
+    side = max(warmth.shape)
+    seen = ramp(brightest, 30.0, 60.0)
+    contrast = ramp(_spread(warmth, odd(side / 26)), 0.026, 0.042)
+    yellow = ramp(hue, 28.0, 36.0) * ramp(-hue, -57.0, -50.0)
+    orange = ramp(hue, 8.0, 14.0) * ramp(-hue, -57.0, -50.0)
+    faded = yellow * ramp(warmth, 0.10, 0.17) * contrast
+    fresh = orange * ramp(warmth, 0.24, 0.33) * ramp(saturation, 0.5, 0.7)
+    paint = _compact(np.maximum(faded, fresh) * seen)
+    vicinity = np.clip(3.0 * cv2.GaussianBlur(paint, (0, 0), side / 70), 0, 1)
+    busy = np.maximum(ramp(texture, 0.15, 0.28), ramp(np.abs(relative), 0.4, 0.9))
+    return paint, 0.8 * vicinity * busy
+
+
+def _compact(paint: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Without single pixels, and without sheets: a quarter of the image in one piece is soil under a low sun."""
+    solid = cv2.GaussianBlur(paint, (0, 0), max(paint.shape) / 500)
+    _, label, stats, _ = cv2.connectedComponentsWithStats((solid > 0.2).astype(np.uint8))
+    area = stats[:, cv2.CC_STAT_AREA]
+    kept = (area >= 2e-5 * paint.size) & (area < 0.25 * paint.size)
+    kept[0] = False
+    return np.where(kept[label], np.maximum(paint, solid), 0).astype(np.float32)

@@ -1,0 +1,116 @@
+"""The segmenter: cues of a photo weighed into evidence for the five task classes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from excavatwin.errors import InputError
+from excavatwin.scene.taxonomy import K, TaskClass
+
+if TYPE_CHECKING:
+    from excavatwin.backbones.appearance.cues import Cues
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """What a segmenter says about one photo."""
+
+    evidence: Float32[np.ndarray, "H W K"]
+    """o_s: evidence for the task classes 1..5, each in [0, 1], their sum at most 1; what is missing is doubt."""
+    no_surface: Bool[np.ndarray, "H W"]
+    """Sky or water: no solid surface can be reconstructed here, whatever a matcher finds."""
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """Training-free baseline: what colour and texture alone can tell, and no more.
+
+    It knows vegetation by its greenness, turf from crowns by their texture, soil from pavement by warmth and
+    roughness, machine paint by a yellow or orange beside dark and grey parts, and other man-made things by colours
+    that soil and plants do not have. It does *not* know what things are: a lemon on sand looks like machine paint, a
+    chalky patch in a meadow like an obstacle, a grey-brown roof like gravel. Where two classes look alike it splits
+    its evidence, and where nothing speaks clearly it gives little. Wrong objects on flat ground are removed by the
+    geometry that follows; a missed object is lost, so it leans towards objects. A learned segmenter replaces it by
+    giving observations with another evidence.
+
+    All colour cues are ratios and all brightness cues relative to the surroundings, so that exposure and vignetting
+    matter little. Thresholds were set by eye on photos of seven public sets (nadir and oblique, overcast and sunny).
+    """
+
+    work_side: int = 640
+    """Long side at which the cues are computed; larger photos are shrunk, evidence is interpolated back [px]."""
+    green: tuple[float, float] = (0.022, 0.055)
+    """Green leaf index (2G-R-B)/(2G+R+B) above that of the neutral ground: from no to certain vegetation."""
+    crown_texture: tuple[float, float] = (0.075, 0.14)
+    """Local standard deviation of log luminance: from mown turf to bushes and crowns."""
+    soil_warmth: tuple[float, float] = (0.0, 0.07)
+    """(R-B)/(R+G+B): from grey pavement to soil."""
+    soil_texture: tuple[float, float] = (0.07, 0.16)
+    """Local standard deviation of log luminance: from a rolled surface to loose soil."""
+    cool: tuple[float, float] = (0.012, 0.045)
+    """(B-R)/(R+G+B): from neutral ground to galvanised, painted or concrete things under the sky."""
+    bright: tuple[float, float] = (0.45, 0.8)
+    """Log luminance above the surroundings: from ground to white things."""
+    sky: bool = True
+    """Look for sky and water. Without it nothing is abstained on."""
+
+    def __call__(self, image: UInt8[np.ndarray, "H W 3"]) -> Segmentation:
+        """Evidence (H, W, 5) in id order 1..5 and the no-surface mask (H, W) of an sRGB photo.
+
+        Raises:
+            InputError: the image is not (H, W, 3) uint8.
+        """
+        from excavatwin.backbones.appearance.cues import observe, resized
+        from excavatwin.backbones.appearance.surfaceless import find_sky, find_water
+
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+            raise InputError(f"the segmenter needs an RGB image (H, W, 3) uint8, not {image.shape} {image.dtype}.")
+        height, width = image.shape[:2]
+        scale = min(1.0, self.work_side / max(height, width))
+        small = resized(image, max(1, round(width * scale)), max(1, round(height * scale)))
+        cues = observe(small)
+        none = find_sky(cues) | find_water(cues) if self.sky else np.zeros(cues.shape, bool)
+        evidence = self._weigh(cues)
+        evidence[none] = 0
+        if scale < 1:
+            evidence = np.clip(resized(evidence, width, height), 0, 1)
+            none = resized(none.astype(np.uint8), width, height, exact=True) > 0
+            evidence[none] = 0
+        return Segmentation(evidence, none)
+
+    def _weigh(self, cues: Cues) -> Float32[np.ndarray, "H W K"]:
+        from excavatwin.backbones.appearance.cues import islands, ramp
+
+        machine = np.maximum(cues.paint, cues.near_paint)
+        plant = ramp(cues.green, *self.green) * cues.plant_hue * (1 - machine)
+        crown = ramp(cues.texture, *self.crown_texture)
+        lit = ramp(cues.relative, -1.6, -0.5)  # deep shadow hides colour
+        thing = np.maximum(
+            cues.vivid,
+            (1 - plant)
+            * np.maximum.reduce(
+                [
+                    ramp(-cues.warmth, *self.cool) * ramp(cues.relative, -1.0, -0.3),
+                    ramp(cues.relative, *self.bright) * ramp(-cues.chroma, -0.12, -0.07),
+                    0.6 * islands(plant),
+                ]
+            ),
+        ) * (1 - machine)
+        ground = (1 - plant) * (1 - thing) * (1 - machine) * (0.35 + 0.65 * lit)
+        soil = np.clip(ramp(cues.warmth, *self.soil_warmth) + 0.35 * ramp(cues.texture, *self.soil_texture), 0, 1)
+        plant = plant * (1 - thing)
+        share = {
+            TaskClass.CONSTRUCTION_TERRAIN: 0.8 * ground * soil,
+            TaskClass.OTHER_TERRAIN: 0.8 * ground * (1 - soil) + 0.5 * plant * (1 - crown),
+            TaskClass.REMOVABLE_COVER: plant * (0.5 + 0.4 * crown),
+            TaskClass.EXCAVATOR: 0.9 * machine,
+            TaskClass.OBSTACLE: 0.85 * thing,
+        }
+        evidence = np.empty((*cues.shape, K), np.float32)
+        for task_class, weight in share.items():
+            evidence[..., task_class - 1] = weight
+        return evidence

@@ -1,0 +1,51 @@
+"""Sky and water: regions of a photo where no solid surface can be reconstructed."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Bool
+
+from excavatwin.backbones.appearance.cues import Cues
+
+
+def find_sky(cues: Cues, smallest: float = 0.002) -> Bool[np.ndarray, "h w"]:
+    """Smooth, bright or blue regions that reach the upper edge of the photo.
+
+    Args:
+        cues: of the photo.
+        smallest: regions below this share of the image are no sky.
+    """
+    top = float(np.percentile(cues.luminance, 99))
+    white = (cues.luminance > 0.86 * top) & (cues.luminance > 150) & (cues.warmth < 0.01)
+    blue = (cues.warmth < -0.06) & (cues.luminance > 90)
+    candidate = ((cues.texture < 0.025) & (white | blue)).astype(np.uint8)
+    candidate = cv2.morphologyEx(candidate, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    count, label, stats, _ = cv2.connectedComponentsWithStats(candidate)
+    keep = np.zeros(count, bool)
+    keep[np.unique(label[:2])] = True
+    keep &= stats[:, cv2.CC_STAT_AREA] > smallest * candidate.size
+    keep[0] = False
+    return _grown(keep[label], 3)
+
+
+def find_water(cues: Cues, smallest: float = 0.012) -> Bool[np.ndarray, "h w"]:
+    """Large, dark, smooth regions, greenish or blue: neither as warm as soil nor as green as turf.
+
+    Grey water under an overcast sky looks like wet asphalt; it is left to the matcher.
+    """
+    tint = (cues.green > 0.018) | (cues.warmth < -0.05)
+    still = (cues.texture < 0.045) & (cues.luminance < 130) & (cues.relative < 0.1)
+    candidate = (still & tint & (cues.green < 0.11) & (cues.warmth < 0.05) & (cues.chroma < 0.12)).astype(np.uint8)
+    side = max(cues.shape)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * (side // 128) + 1,) * 2)
+    candidate = cv2.morphologyEx(candidate, cv2.MORPH_CLOSE, kernel)
+    candidate = cv2.morphologyEx(candidate, cv2.MORPH_OPEN, kernel)
+    _, label, stats, _ = cv2.connectedComponentsWithStats(candidate)
+    keep = stats[:, cv2.CC_STAT_AREA] > smallest * candidate.size
+    keep[0] = False
+    return keep[label]
+
+
+def _grown(mask: Bool[np.ndarray, "h w"], pixels: int) -> Bool[np.ndarray, "h w"]:
+    return cv2.dilate(mask.astype(np.uint8), np.ones((2 * pixels + 1,) * 2, np.uint8)) > 0
