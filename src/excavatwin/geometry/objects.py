@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
-from excavatwin.geometry.topology import radius_clusters
+from excavatwin.accumulation import accumulate
 from excavatwin.paper import equation
-from excavatwin.scene.accumulation import accumulate
 from excavatwin.scene.support import LocalGeometry, ObjectSupport, Terrain
 from excavatwin.scene.taxonomy import OBJECT_CLASSES
 from excavatwin.scene.voxels import Voxels
+from excavatwin.topology import radius_clusters
 
 
 @dataclass(frozen=True)

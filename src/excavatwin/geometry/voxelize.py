@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from excavatwin.errors import InputError
-from excavatwin.geometry.topology import nearest_neighbours
 from excavatwin.scene.points import Points
 from excavatwin.scene.voxels import Voxels
+from excavatwin.topology import nearest_neighbours
 
 #: Sizes that people like to read, per decade.
 _NICE = np.array([1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0])

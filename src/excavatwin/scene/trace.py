@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, Int32
 
 from excavatwin.scene.elevation_map import ElevationMap
 from excavatwin.scene.labels import Labels
@@ -28,10 +28,12 @@ class Trace:
     terrain: Terrain
     evidence: Float32[np.ndarray, "M K"]
     """e_{j,s}(k) of the view samples after spatial consistency."""
-    objects: ObjectSupport
+    objects: ObjectSupport | None
     weight: Float32[np.ndarray, "M"]
     """w_{j,s}: reliability of the view samples."""
     labels: Labels
+    occupied: Int32[np.ndarray, "J"]
+    """Object of every voxel, 0 = none."""
     map: ElevationMap
     seconds: dict[str, float]
     """Wall time of every stage [s]."""

@@ -13,7 +13,7 @@ class Voxels:
     """J occupied voxels, in ascending order of their grid index, and the view samples inside them.
 
     A *view sample* m is what one view s has to say about one voxel j: the mean of its samples there. All that follows
-    works on voxels and view samples, so that a view which samples a place densely counts no more than one that does not.
+    works on voxels and view samples, so that a view which samples a place densely counts no more than another.
     """
 
     size: float

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Int32
 
-from excavatwin.geometry.topology import radius_clusters
-from excavatwin.scene.accumulation import accumulate
+from excavatwin.accumulation import accumulate
 from excavatwin.scene.support import Terrain
 from excavatwin.scene.taxonomy import TERRAIN_CLASSES, K
 from excavatwin.scene.voxels import Voxels
+from excavatwin.topology import radius_clusters
 
 
 @dataclass(frozen=True)
@@ -78,10 +78,10 @@ class Consistency:
                 lender[:, k - 1] = at[np.minimum(who, len(at) - 1)]
         winner = compete(distance, terrain.member[candidate])
         won = winner > 0
-        rows, k = np.flatnonzero(won), winner[won] - 1
-        lent = self.decay * (1 - distance[rows, k] / reach) * e[lender[rows, k], k]
+        rows, column = np.flatnonzero(won), winner[won] - 1
+        lent = self.decay * (1 - distance[rows, column] / reach) * e[lender[rows, column], column]
         added = np.zeros_like(e)
-        added[candidate[rows], k] = lent
+        added[candidate[rows], column] = lent
         return evidence + added[voxels.voxel]
 
 

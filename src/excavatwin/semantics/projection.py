@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -10,6 +12,18 @@ from excavatwin.paper import equation
 from excavatwin.scene.observations import Observations
 from excavatwin.scene.points import Points
 from excavatwin.scene.taxonomy import K
+
+
+@dataclass(frozen=True)
+class Correspondence:
+    """Every valid pixel is a point with its confidence and its evidence."""
+
+    max_footprint: float = 4.0
+    """Pixels that cover more than this many times the scene's median footprint are too far away to be mapped."""
+
+    def __call__(self, observations: Observations, T_M_R: Float64[np.ndarray, "4 4"]) -> Points:
+        """All points that are near enough, in frame M."""
+        return correspond(observations, T_M_R, self.max_footprint)
 
 
 @equation("eq:gc_correspondence")

@@ -63,6 +63,6 @@ class Uniform:
 
 
 def distinct_rank(confidence: Float32[np.ndarray, "M"]) -> Float32[np.ndarray, "M"]:
-    """Rank of each value among the distinct values, scaled to (0, 1]: free of the backbone's scale and of repetition."""
+    """Rank of each value among the distinct ones, scaled to (0, 1]: free of the backbone's scale and of repetition."""
     distinct, rank = np.unique(confidence, return_inverse=True)
     return ((rank + 1) / len(distinct)).astype(np.float32)

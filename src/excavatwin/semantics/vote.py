@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float32
 
+from excavatwin.accumulation import per_voxel
 from excavatwin.paper import equation
-from excavatwin.scene.accumulation import per_voxel
 from excavatwin.scene.voxels import Voxels
+
+
+@dataclass(frozen=True)
+class Vote:
+    """Reliability-weighted mean of what the views say."""
+
+    epsilon: float = 0.02
+    """Weight of one more view that says nothing: keeps a single doubtful view from looking certain."""
+
+    def __call__(
+        self, voxels: Voxels, evidence: Float32[np.ndarray, "M K"], weight: Float32[np.ndarray, "M"]
+    ) -> Float32[np.ndarray, "J K"]:
+        """v_j(k) of every voxel."""
+        return vote(voxels, evidence, weight, self.epsilon)
 
 
 @equation("eq:vote")

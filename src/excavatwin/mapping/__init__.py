@@ -1,0 +1,1 @@
+"""Projection of the labelled scene onto a horizontal grid: elevation, labels, occupancy, and the map itself."""

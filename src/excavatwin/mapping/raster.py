@@ -1,0 +1,59 @@
+"""Which cell each view sample falls into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int32, Int64
+
+from excavatwin.errors import InputError
+from excavatwin.scene.grid import Grid
+from excavatwin.scene.support import LocalGeometry
+from excavatwin.scene.voxels import Voxels
+
+
+@dataclass(frozen=True)
+class Cells:
+    """The samples P_c of every cell of the map."""
+
+    grid: Grid
+    of_sample: Int32[np.ndarray, "M"]
+    """Cell of every view sample; -1 for spatial outliers, which are no part of the map."""
+    start: Int64[np.ndarray, "cells1"]
+    """First entry of every cell in ``member``."""
+    member: Int64[np.ndarray, "m"]
+    """View samples ordered by cell."""
+
+
+@dataclass(frozen=True)
+class Raster:
+    """The grid of the map, aligned to multiples of its cell so that maps of one place lie on one another."""
+
+    cell: float | None = None
+    """Edge of a cell [m]; one voxel when not given."""
+    max_cells: int = 60_000_000
+    """Largest map that is made."""
+
+    def __call__(self, voxels: Voxels, local: LocalGeometry) -> Cells:
+        """Grid over all inliers, with their cells.
+
+        Raises:
+            InputError: the cell is not positive, or the map would be too large.
+        """
+        from excavatwin.kernels.cells import group_rows
+
+        edge = voxels.size if self.cell is None else self.cell
+        if not edge > 0:
+            raise InputError(f"the map cell is {edge}; expected a positive length in metres.")
+        inlier = local.inlier[voxels.voxel]
+        xy = voxels.xyz[:, :2].astype(np.float64)
+        low = np.floor(xy[inlier].min(axis=0) / edge)
+        high = np.floor(xy[inlier].max(axis=0) / edge) + 1
+        cols, rows = (int(n) for n in high - low)
+        if rows * cols > self.max_cells:
+            raise InputError(f"a cell of {edge:g} would make a map of {rows} x {cols} cells; give a larger cell.")
+        grid = Grid(west=float(low[0] * edge), north=float(high[1] * edge), cell=float(edge), rows=rows, cols=cols)
+        of_sample = np.where(inlier, grid.flat_index(xy), -1).astype(np.int32)
+        start, member = group_rows(of_sample, rows * cols)
+        return Cells(grid, of_sample, start, member)
