@@ -29,7 +29,7 @@ class Cues:
     plant_hue: Float32[np.ndarray, "h w"]
     """1 for the hues of leaves, 0 for those of soil and yellow paint."""
     texture: Float32[np.ndarray, "h w"]
-    """Standard deviation of log luminance in a small window."""
+    """Standard deviation of log luminance in a small window, without the ridges that lone edges leave."""
     vivid: Float32[np.ndarray, "h w"]
     """Saturated colours that neither soil nor plants have."""
     paint: Float32[np.ndarray, "h w"]
@@ -56,7 +56,8 @@ def observe(image: UInt8[np.ndarray, "h w 3"]) -> Cues:
     log = np.log(luminance)
     texture = _spread(np.log(image.astype(np.float32).mean(-1) + DARK / 2), odd(side / 71))
     relative = log - cv2.GaussianBlur(log, (0, 0), side / 10)
-    paint, near = _machine(warmth, hue, saturation, brightest, texture, relative)
+    vivid, red = _vividness(hue, saturation, brightest)
+    paint, near = _machine(warmth, hue, saturation, brightest, texture, relative, red)
     return Cues(
         luminance=luminance,
         relative=relative,
@@ -64,8 +65,8 @@ def observe(image: UInt8[np.ndarray, "h w 3"]) -> Cues:
         warmth=warmth,
         chroma=chroma,
         plant_hue=ramp(hue, 44.0, 56.0) * ramp(-hue, -190.0, -165.0),
-        texture=texture,
-        vivid=_vividness(hue, saturation, brightest),
+        texture=_without_ridges(texture, odd(side / 64)),
+        vivid=vivid,
         paint=paint,
         near_paint=near,
     )
@@ -94,6 +95,11 @@ def ramp(x: Float32[np.ndarray, "..."], low: float, high: float) -> Float32[np.n
     """0 below ``low``, 1 above ``high``, smooth between (cubic)."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return (t * t * (3 - 2 * t)).astype(np.float32)
+
+
+def surroundings(x: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Mean over about a twentieth of the image's long side."""
+    return np.asarray(cv2.GaussianBlur(x, (0, 0), max(x.shape) / 50))
 
 
 def resized(
@@ -136,11 +142,15 @@ def _spread(x: Float32[np.ndarray, "h w"], window: int) -> Float32[np.ndarray, "
 
 def _vividness(
     hue: Float32[np.ndarray, "h w"], saturation: Float32[np.ndarray, "h w"], brightest: Float32[np.ndarray, "h w"]
-) -> Float32[np.ndarray, "h w"]:
-    red = np.maximum(ramp(-hue, -14.0, -6.0), ramp(hue, 285.0, 305.0)) * ramp(saturation, 0.22, 0.45)
-    blue = ramp(hue, 160.0, 175.0) * ramp(-hue, -310.0, -290.0) * ramp(saturation, 0.2, 0.4)
-    plastic = ramp(hue, 100.0, 125.0) * ramp(-hue, -180.0, -160.0) * ramp(saturation, 0.5, 0.7)
-    return np.maximum.reduce([red, blue, plastic]) * ramp(brightest, 25.0, 55.0)
+) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Colours that neither soil nor plants nor haze have, and the red among them."""
+    red = np.maximum(ramp(-hue, -14.0, -6.0), ramp(hue, 340.0, 350.0)) * ramp(saturation, 0.2, 0.36)
+    pink = ramp(hue, 295.0, 315.0) * ramp(saturation, 0.16, 0.3)
+    blue = ramp(hue, 165.0, 180.0) * ramp(-hue, -310.0, -290.0) * ramp(saturation, 0.35, 0.55)
+    plastic = ramp(hue, 92.0, 106.0) * ramp(-hue, -185.0, -165.0) * ramp(saturation, 0.42, 0.55)
+    seen = ramp(brightest, 25.0, 55.0)
+    red = np.maximum(red, pink) * seen
+    return np.maximum.reduce([red, blue * seen, plastic * ramp(brightest, 110.0, 160.0)]), red
 
 
 def _machine(
@@ -150,23 +160,41 @@ def _machine(
     brightest: Float32[np.ndarray, "h w"],
     texture: Float32[np.ndarray, "h w"],
     relative: Float32[np.ndarray, "h w"],
+    red: Float32[np.ndarray, "h w"],
 ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """Paint, and what belongs to a machine beside it.
 
     Faded paint in a dull photo is no yellower than ochre soil; but soil changes its colour slowly, while paint stands
-    beside glass, steel and tracks. So a moderate yellow counts only where the warmth varies strongly around it.
+    beside glass, steel and tracks. So a moderate yellow counts only where the warmth varies strongly around it. The
+    blurred rim of a red thing on sand is orange, too, and does not count.
     """
     side = max(warmth.shape)
-    seen = ramp(brightest, 30.0, 60.0)
+    seen = ramp(brightest, 30.0, 60.0) * ramp(relative, -0.8, -0.3)
     contrast = ramp(_spread(warmth, odd(side / 26)), 0.026, 0.042)
+    odd_warmth = warmth - _background(warmth)
     yellow = ramp(hue, 28.0, 36.0) * ramp(-hue, -57.0, -50.0)
-    orange = ramp(hue, 8.0, 14.0) * ramp(-hue, -57.0, -50.0)
-    faded = yellow * ramp(warmth, 0.10, 0.17) * contrast
-    fresh = orange * ramp(warmth, 0.24, 0.33) * ramp(saturation, 0.5, 0.7)
-    paint = _compact(np.maximum(faded, fresh) * seen)
-    vicinity = np.clip(3.0 * cv2.GaussianBlur(paint, (0, 0), side / 70), 0, 1)
+    orange = ramp(hue, 10.0, 16.0) * ramp(-hue, -64.0, -58.0)
+    faded = yellow * ramp(warmth, 0.08, 0.13) * ramp(odd_warmth, 0.03, 0.06) * contrast
+    fresh = orange * ramp(warmth, 0.24, 0.33) * ramp(saturation, 0.5, 0.7) * ramp(relative, -0.3, 0.1)
+    rim = cv2.dilate(red, np.ones((odd(side / 42),) * 2, np.uint8))
+    paint = _compact(np.maximum(faded, fresh) * seen * (1 - rim))
+    vicinity = np.clip(3.0 * cv2.GaussianBlur(paint, (0, 0), side / 55), 0, 1)
     busy = np.maximum(ramp(texture, 0.15, 0.28), ramp(np.abs(relative), 0.4, 0.9))
-    return paint, 0.8 * vicinity * busy
+    return paint, 0.85 * vicinity * np.maximum(0.8 * busy, ramp(np.abs(odd_warmth), 0.012, 0.03))
+
+
+def _background(x: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Median over about a quarter of the image's long side, of a quantity between -0.5 and 0.5."""
+    small = cv2.resize(x, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA)
+    levels = np.clip(np.round((small + 0.5) * 255), 0, 255).astype(np.uint8)
+    median = cv2.medianBlur(levels, odd(max(small.shape) / 4)).astype(np.float32) / 255 - 0.5
+    return np.asarray(cv2.resize(median, x.shape[::-1], interpolation=cv2.INTER_LINEAR))
+
+
+def _without_ridges(texture: Float32[np.ndarray, "h w"], window: int) -> Float32[np.ndarray, "h w"]:
+    """A lone edge raises the texture in a band as wide as the window; an opening of that size takes it away."""
+    opened = cv2.morphologyEx(texture, cv2.MORPH_OPEN, np.ones((window, window), np.uint8))
+    return np.asarray(cv2.blur(opened, (window, window)))
 
 
 def _compact(paint: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
@@ -176,4 +204,9 @@ def _compact(paint: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     area = stats[:, cv2.CC_STAT_AREA]
     kept = (area >= 2e-5 * paint.size) & (area < 0.25 * paint.size)
     kept[0] = False
-    return np.where(kept[label], np.maximum(paint, solid), 0).astype(np.float32)
+    whole = np.where(kept[label], np.maximum(paint, solid), 0).astype(np.float32)
+    # A sunlit cab roof or a highlight is a hole in the paint: fill outlines that are mostly paint.
+    outlines, _ = cv2.findContours((whole > 0.3).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = np.zeros(whole.shape, np.uint8)
+    cv2.drawContours(filled, outlines, -1, 1, cv2.FILLED)
+    return np.where(filled > 0, np.maximum(whole, 0.7), whole).astype(np.float32)

@@ -83,25 +83,22 @@ class Appearance:
         return Segmentation(evidence, none)
 
     def _weigh(self, cues: Cues) -> Float32[np.ndarray, "H W K"]:
-        from excavatwin.backbones.appearance.cues import islands, ramp
+        from excavatwin.backbones.appearance.cues import islands, ramp, surroundings
 
         machine = np.maximum(cues.paint, cues.near_paint)
         plant = ramp(cues.green, *self.green) * cues.plant_hue * (1 - machine)
         crown = ramp(cues.texture, *self.crown_texture)
-        lit = ramp(cues.relative, -1.6, -0.5)  # deep shadow hides colour
-        thing = np.maximum(
-            cues.vivid,
-            (1 - plant)
-            * np.maximum.reduce(
-                [
-                    ramp(-cues.warmth, *self.cool) * ramp(cues.relative, -1.0, -0.3),
-                    ramp(cues.relative, *self.bright) * ramp(-cues.chroma, -0.12, -0.07),
-                    0.6 * islands(plant),
-                ]
-            ),
-        ) * (1 - machine)
-        ground = (1 - plant) * (1 - thing) * (1 - machine) * (0.35 + 0.65 * lit)
-        soil = np.clip(ramp(cues.warmth, *self.soil_warmth) + 0.35 * ramp(cues.texture, *self.soil_texture), 0, 1)
+        thicket = surroundings(plant * crown)  # among crowns, dark and bluish is shade and haze
+        shade = ramp(-cues.relative, 0.1, 0.9)
+        haze = ramp(cues.chroma, 0.06, 0.09) * ramp(cues.green, 0.02, 0.05)
+        steel = ramp(-cues.warmth, *self.cool) * ramp(cues.relative - 0.6 * thicket, -0.7, -0.1) * (1 - haze)
+        white = ramp(cues.relative, *self.bright) * ramp(-cues.chroma, -0.12, -0.07)
+        island = islands(plant) * (1 - ramp(thicket, 0.3, 0.6)) * (1 - shade)
+        thing = np.maximum.reduce([cues.vivid, (1 - plant) * np.maximum.reduce([steel, 0.6 * white, 0.6 * island])])
+        thing = thing * (1 - machine)
+        ground = (1 - plant) * (1 - thing) * (1 - machine) * (1 - 0.65 * ramp(shade, 0.8, 1.0))
+        warmth = cues.warmth + 0.045 * shade  # the sky alone lights the shade, and it is blue
+        soil = np.clip(ramp(warmth, *self.soil_warmth) + 0.35 * ramp(cues.texture, *self.soil_texture), 0, 1)
         plant = plant * (1 - thing)
         share = {
             TaskClass.CONSTRUCTION_TERRAIN: 0.8 * ground * soil,

@@ -16,17 +16,23 @@ def find_sky(cues: Cues, smallest: float = 0.002) -> Bool[np.ndarray, "h w"]:
         cues: of the photo.
         smallest: regions below this share of the image are no sky.
     """
-    top = float(np.percentile(cues.luminance, 99))
-    white = (cues.luminance > 0.86 * top) & (cues.luminance > 150) & (cues.warmth < 0.01)
-    blue = (cues.warmth < -0.06) & (cues.luminance > 90)
-    candidate = ((cues.texture < 0.025) & (white | blue)).astype(np.uint8)
+    overexposed = (cues.luminance > np.where(cues.warmth < -0.012, 205, 246)) & (cues.warmth < 0.004)
+    overcast = (cues.luminance > 150) & (cues.warmth < 0.004) & (cues.texture < 0.007)
+    overexposed &= cues.texture < 0.02
+    blue = (cues.luminance > 90) & (cues.warmth < -0.06) & (cues.texture < 0.02)
+    candidate = (overexposed | overcast | blue).astype(np.uint8)
     candidate = cv2.morphologyEx(candidate, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    count, label, stats, _ = cv2.connectedComponentsWithStats(candidate)
-    keep = np.zeros(count, bool)
+    _, label, stats, _ = cv2.connectedComponentsWithStats(candidate)
+    keep = np.zeros(len(stats), bool)
     keep[np.unique(label[:2])] = True
     keep &= stats[:, cv2.CC_STAT_AREA] > smallest * candidate.size
     keep[0] = False
-    return _grown(keep[label], 3)
+    sky = keep[label]
+    if not sky.any():
+        return sky
+    # The texture window blurs the skyline; behind leaves the sky comes through in spots.
+    as_bright = (cues.luminance > np.percentile(cues.luminance[sky], 2) - 25) & (cues.warmth < 0.004)
+    return _grown(sky, 2) | (_grown(sky, max(cues.shape) // 16) & as_bright)
 
 
 def find_water(cues: Cues, smallest: float = 0.012) -> Bool[np.ndarray, "h w"]:
@@ -36,7 +42,7 @@ def find_water(cues: Cues, smallest: float = 0.012) -> Bool[np.ndarray, "h w"]:
     """
     tint = (cues.green > 0.018) | (cues.warmth < -0.05)
     still = (cues.texture < 0.045) & (cues.luminance < 130) & (cues.relative < 0.1)
-    candidate = (still & tint & (cues.green < 0.11) & (cues.warmth < 0.05) & (cues.chroma < 0.12)).astype(np.uint8)
+    candidate = (still & tint & (cues.green < 0.12) & (cues.warmth < 0.03) & (cues.chroma < 0.07)).astype(np.uint8)
     side = max(cues.shape)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * (side // 128) + 1,) * 2)
     candidate = cv2.morphologyEx(candidate, cv2.MORPH_CLOSE, kernel)
