@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,8 +27,16 @@ class Layer:
     fill: float | int
     """Value of a cell that has none."""
     meaning: str
-    values: type | None = None
+    values: type[IntEnum] | None = None
     """Enumeration of a categorical layer."""
+
+    @property
+    def categories(self) -> dict[int, str]:
+        """Value -> lower-case name of a categorical layer; empty for the others."""
+        if self.values is None:
+            return {}
+        members = {int(member): member.name.lower() for member in self.values}
+        return members | ({NOT_OBSERVED: "not_observed"} if self.fill == NOT_OBSERVED else {})
 
 
 LAYERS: tuple[Layer, ...] = (
@@ -124,12 +133,9 @@ class ElevationMap:
                 "long_name": layer.meaning,
                 "units": self.unit if layer.unit == "m" else "1",
             }
-            if layer.values is not None:
-                members = {int(m): m.name.lower() for m in layer.values}  # type: ignore[attr-defined]
-                if layer.name == "label":
-                    members[NOT_OBSERVED] = "not_observed"
-                attributes["flag_values"] = np.array(list(members), layer.dtype)
-                attributes["flag_meanings"] = " ".join(members.values())
+            if layer.categories:
+                attributes["flag_values"] = np.array(list(layer.categories), layer.dtype)
+                attributes["flag_meanings"] = " ".join(layer.categories.values())
             data[layer.name] = (("y", "x"), getattr(self, layer.name), attributes)
         origin = self.georeference.origin if self.georeference else (0.0, 0.0, 0.0)
         axis = {"units": self.unit}
