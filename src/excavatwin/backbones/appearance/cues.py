@@ -35,7 +35,7 @@ class Cues:
     paint: Float32[np.ndarray, "h w"]
     """Yellow or orange machine paint."""
     near_paint: Float32[np.ndarray, "h w"]
-    """Grey, dark or busy parts beside paint: tracks, cab, boom joints."""
+    """Beside paint: much for grey, dark or busy parts such as tracks and cab, some for whatever else is there."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -47,21 +47,24 @@ def observe(image: UInt8[np.ndarray, "h w 3"]) -> Cues:
     """All cues of an sRGB image at working size."""
     side = max(image.shape[:2])
     rgb = cv2.GaussianBlur(image.astype(np.float32), (0, 0), max(0.4, side / 640))
-    total = rgb.sum(-1) + DARK
+    red, green, blue = cv2.split(rgb)
+    total = red + green + blue + DARK
     luminance = total / 3
-    brightest, darkest = rgb.max(-1), rgb.min(-1)
-    chroma = (brightest - darkest) / total
-    warmth = (rgb[..., 0] - rgb[..., 2]) / total
+    brightest = np.maximum(np.maximum(red, green), blue)
+    chroma = (brightest - np.minimum(np.minimum(red, green), blue)) / total
+    warmth = (red - blue) / total
     hue, saturation = _hue_saturation(rgb)
     log = np.log(luminance)
-    texture = _spread(np.log(image.astype(np.float32).mean(-1) + DARK / 2), odd(side / 71))
-    relative = log - cv2.GaussianBlur(log, (0, 0), side / 10)
-    vivid, red = _vividness(hue, saturation, brightest)
-    paint, near = _machine(warmth, hue, saturation, brightest, texture, relative, red)
+    texture = _spread(
+        np.log(cv2.transform(image, np.full((1, 3), 1 / 3, np.float32)).astype(np.float32) + DARK / 2), odd(side / 71)
+    )
+    relative = log - _wide(log, side / 10)
+    vivid, crimson = _vividness(hue, saturation, brightest)
+    paint, near = _machine(warmth, hue, saturation, brightest, texture, relative, crimson)
     return Cues(
         luminance=luminance,
         relative=relative,
-        green=_greenness(rgb, total),
+        green=_greenness(green, total),
         warmth=warmth,
         chroma=chroma,
         plant_hue=ramp(hue, 44.0, 56.0) * ramp(-hue, -190.0, -165.0),
@@ -99,7 +102,7 @@ def ramp(x: Float32[np.ndarray, "..."], low: float, high: float) -> Float32[np.n
 
 def surroundings(x: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Mean over about a twentieth of the image's long side."""
-    return np.asarray(cv2.GaussianBlur(x, (0, 0), max(x.shape) / 50))
+    return _wide(x, max(x.shape) / 50)
 
 
 def resized(
@@ -118,9 +121,9 @@ def odd(size: float) -> int:
     return max(3, 2 * round((size - 1) / 2) + 1)
 
 
-def _greenness(rgb: Float32[np.ndarray, "h w 3"], total: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+def _greenness(channel: Float32[np.ndarray, "h w"], total: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Green leaf index, zero on neutral ground. Cameras differ in tint by as much as dry grass differs from soil."""
-    index = (3 * rgb[..., 1] - total + DARK) / (total + rgb[..., 1])
+    index = (3 * channel - total + DARK) / (total + channel)
     ground = index[::4, ::4]
     ground = ground[np.abs(ground) < 0.07]
     if ground.size < 0.03 * index.size / 16:  # nothing but plants: no ground to read the tint from
@@ -178,14 +181,26 @@ def _machine(
     fresh = orange * ramp(warmth, 0.24, 0.33) * ramp(saturation, 0.5, 0.7) * ramp(relative, -0.3, 0.1)
     rim = cv2.dilate(red, np.ones((odd(side / 42),) * 2, np.uint8))
     paint = _compact(np.maximum(faded, fresh) * seen * (1 - rim))
-    vicinity = np.clip(3.0 * cv2.GaussianBlur(paint, (0, 0), side / 55), 0, 1)
-    busy = np.maximum(ramp(texture, 0.15, 0.28), ramp(np.abs(relative), 0.4, 0.9))
-    return paint, 0.85 * vicinity * np.maximum(0.8 * busy, ramp(np.abs(odd_warmth), 0.012, 0.03))
+    vicinity = np.clip(4.0 * _wide(paint, side / 48), 0, 1)
+    part = np.maximum(0.8 * ramp(np.abs(relative), 0.4, 0.9), ramp(np.abs(odd_warmth), 0.012, 0.03))
+    return paint, vicinity * (0.4 + 0.5 * np.maximum(part, 0.8 * ramp(texture, 0.15, 0.28)))
+
+
+def _wide(x: Float32[np.ndarray, "h w"], sigma: float) -> Float32[np.ndarray, "h w"]:
+    """Gaussian mean of large reach, on a coarser image."""
+    step = max(1.0, sigma / 4)
+    small = _shrunk(x, step)
+    small = cv2.GaussianBlur(small, (0, 0), sigma / step)
+    return np.asarray(cv2.resize(small, x.shape[::-1], interpolation=cv2.INTER_LINEAR))
+
+
+def _shrunk(x: Float32[np.ndarray, "h w"], step: float) -> Float32[np.ndarray, "h2 w2"]:
+    return resized(x, max(1, round(x.shape[1] / step)), max(1, round(x.shape[0] / step)))
 
 
 def _background(x: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Median over about a quarter of the image's long side, of a quantity between -0.5 and 0.5."""
-    small = cv2.resize(x, None, fx=0.125, fy=0.125, interpolation=cv2.INTER_AREA)
+    small = _shrunk(x, 8)
     levels = np.clip(np.round((small + 0.5) * 255), 0, 255).astype(np.uint8)
     median = cv2.medianBlur(levels, odd(max(small.shape) / 4)).astype(np.float32) / 255 - 0.5
     return np.asarray(cv2.resize(median, x.shape[::-1], interpolation=cv2.INTER_LINEAR))
