@@ -88,11 +88,14 @@ def _read_folder(folder: Path) -> Archive:
 
 def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not hasattr(archive, "files"):
+        with path.open("rb") as file:  # opened here: numpy leaves a damaged file open
+            archive = np.load(file, allow_pickle=False)
+            if isinstance(archive, np.ndarray):
                 raise ObservationError(f"{path.name} holds a single array; save an .npz with named arrays.")
             stored = list(archive.files)
             arrays = {key: archive[key] for key in keys if key in stored}
+    except ObservationError:
+        raise
     except ValueError as error:
         if "allow_pickle" not in str(error):
             raise ObservationError(f"{path} is not an .npz file, or it is damaged ({error}).") from None

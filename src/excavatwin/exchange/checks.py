@@ -26,7 +26,7 @@ def checked_points(points: np.ndarray, where: str) -> Float32[np.ndarray, "H W 3
     infinite = np.isinf(points).any(-1)
     if infinite.any():
         raise ObservationError(
-            f"{where}: {_count(infinite)} have an infinite coordinate, {_first(infinite)}; "
+            f"{where}: points has an infinite coordinate at {_count(infinite)}, {_first(infinite)}; "
             "write NaN where there is no point."
         )
     P = np.ascontiguousarray(points, np.float32)
