@@ -71,7 +71,7 @@ def open_capture(
     photos: list[Photo] = []
     skipped: list[Unplaced] = []
     progress("read photos", 0, len(paths))
-    with _large_photos_allowed(), ThreadPoolExecutor(4) as pool:  # decoding releases the GIL
+    with _pillow_quiet(), ThreadPoolExecutor(4) as pool:  # decoding releases the GIL
         for done, (path, found) in enumerate(zip(paths, pool.map(_probe, paths), strict=True), 1):
             if isinstance(found, Photo):
                 photos.append(found)
@@ -106,7 +106,7 @@ def read_photo(photo: Photo, long_side: int | None = None) -> UInt8[np.ndarray, 
     from PIL import Image, ImageOps
 
     try:
-        with _large_photos_allowed(), Image.open(photo.path) as image:
+        with _pillow_quiet(), Image.open(photo.path) as image:
             scale = 1.0 if long_side is None else min(1.0, long_side / max(image.size))
             if scale <= 0.5:  # JPEG: let the decoder skip octaves, but keep twice the size for a clean resize
                 image.draft("RGB", (int(image.width * scale * 2), int(image.height * scale * 2)))
@@ -216,10 +216,11 @@ def _to_rgb(image: Image.Image) -> Image.Image:
 
 
 @contextmanager
-def _large_photos_allowed() -> Iterator[None]:
-    """Photos of 90 to 180 Mpx are survey cameras, not decompression bombs: no warning for them."""
+def _pillow_quiet() -> Iterator[None]:
+    """No warnings about photos of 90 to 180 Mpx (survey cameras, not decompression bombs) nor about damaged EXIF."""
     from PIL import Image
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        warnings.filterwarnings("ignore", category=UserWarning, module="PIL")
         yield

@@ -23,9 +23,11 @@ if TYPE_CHECKING:
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg")
 #: Long side at which frames are compared: a twentieth of the pixels of 4K, still sharp enough to see motion blur.
 PREVIEW_SIDE = 960
-TRACKED_SIDE = 480
-#: Share of the features that must survive tracking for their displacement to mean anything.
-MIN_TRACKED = 0.3
+MATCHED_SIDE = 480
+#: Fewer matched features than this do not tell how far the picture moved.
+MIN_MATCHES = 20
+#: Of the 256 bits of an ORB descriptor (Rublee et al., ICCV 2011), how many a match may differ in.
+MAX_CODE_DISTANCE = 50
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def sample_video(
     """Choose frames and write them to ``frames_dir`` as ``<video>_<frame number>.jpg``; one pass, constant memory.
 
     Sharpness is the variance of the Laplacian (Pech-Pacheco et al., ICPR 2000), compared only between frames that are
-    near in time; difference is the displacement of tracked corners (Shi-Tomasi, Lucas-Kanade).
+    near in time; difference is the displacement of matched features (ORB).
 
     Returns:
         The photos in order of time, and the video itself with a reason if it broke off.
@@ -91,23 +93,28 @@ def sample_video(
 
 
 def displacement(a: UInt8[np.ndarray, "h w"], b: UInt8[np.ndarray, "h w"]) -> float:
-    """Median displacement of corners of ``a`` in ``b`` as a share of the long side; infinite if they are gone."""
+    """Median displacement of features of ``a`` in ``b`` as a share of the long side; infinite if they are gone.
+
+    Features are matched, not tracked: optical flow loses its way on gravel and sand after a few pixels.
+    """
     import cv2
 
-    shrink = TRACKED_SIDE / max(a.shape)
+    shrink = MATCHED_SIDE / max(a.shape)
     if shrink < 1:
         a, b = (cv2.resize(x, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) for x in (a, b))
     if a.shape != b.shape:
         return float("inf")
-    corners = cv2.goodFeaturesToTrack(a, 300, 0.01, 7)
-    if corners is None or len(corners) < 12:  # featureless: nothing moves that could be seen
+    orb = cv2.ORB.create(600, fastThreshold=8)
+    (spots_a, codes_a), (spots_b, codes_b) = (orb.detectAndCompute(x, None) for x in (a, b))
+    if min(len(spots_a), len(spots_b)) < MIN_MATCHES:  # featureless: only a change of brightness can be seen
         return 0.0 if np.abs(a.astype(int) - b).mean() < 2 else float("inf")
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(a, b, corners, np.empty_like(corners), winSize=(21, 21), maxLevel=4)
-    good = found.ravel() == 1
-    if good.mean() < MIN_TRACKED:
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(codes_a, codes_b)
+    steps = [
+        np.subtract(spots_a[m.queryIdx].pt, spots_b[m.trainIdx].pt) for m in matches if m.distance < MAX_CODE_DISTANCE
+    ]
+    if len(steps) < MIN_MATCHES:
         return float("inf")
-    steps = np.linalg.norm((moved - corners).reshape(-1, 2)[good], axis=1)
-    return float(np.median(steps)) / max(a.shape)
+    return float(np.median(np.linalg.norm(steps, axis=1))) / max(a.shape)
 
 
 def sharpness(preview: UInt8[np.ndarray, "h w"]) -> float:

@@ -86,7 +86,7 @@ class Appearance:
         from excavatwin.backbones.appearance.cues import islands, ramp, surroundings
 
         machine = np.maximum(cues.paint, cues.near_paint)
-        plant = ramp(cues.green, *self.green) * cues.plant_hue * (1 - machine)
+        plant = ramp(cues.green, *self.green) * cues.plant_hue
         crown = ramp(cues.texture, *self.crown_texture)
         thicket = surroundings(plant * crown)  # among crowns, dark and bluish is shade and haze
         shade = ramp(-cues.relative, 0.1, 0.9)
@@ -96,14 +96,15 @@ class Appearance:
         island = islands(plant) * (1 - ramp(thicket, 0.3, 0.6)) * (1 - shade)
         thing = np.maximum.reduce([cues.vivid, (1 - plant) * np.maximum.reduce([steel, 0.6 * white, 0.6 * island])])
         thing = thing * (1 - machine)
-        ground = (1 - plant) * (1 - thing) * (1 - machine) * (1 - 0.65 * ramp(shade, 0.8, 1.0))
+        rest = 1 - machine - thing
+        plant = plant * rest
+        ground = (rest - plant) * (1 - 0.65 * ramp(shade, 0.8, 1.0))
         warmth = cues.warmth + 0.045 * shade  # the sky alone lights the shade, and it is blue
         soil = np.clip(ramp(warmth, *self.soil_warmth) + 0.35 * ramp(cues.texture, *self.soil_texture), 0, 1)
-        plant = plant * (1 - thing)
         share = {
             TaskClass.CONSTRUCTION_TERRAIN: 0.8 * ground * soil,
-            TaskClass.OTHER_TERRAIN: 0.8 * ground * (1 - soil) + 0.5 * plant * (1 - crown),
-            TaskClass.REMOVABLE_COVER: plant * (0.5 + 0.4 * crown),
+            TaskClass.OTHER_TERRAIN: 0.8 * ground * (1 - soil) + 0.52 * plant * (1 - crown),
+            TaskClass.REMOVABLE_COVER: plant * (0.46 + 0.44 * crown),
             TaskClass.EXCAVATOR: 0.9 * machine,
             TaskClass.OBSTACLE: 0.85 * thing,
         }
