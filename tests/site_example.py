@@ -172,7 +172,13 @@ def example_site(
         object_id=owner.astype(np.int32),
         support=np.where(np.isin(label, (1, 2)), Support.TERRAIN, Support.NON_TERRAIN).astype(np.uint8),
     )
-    run = {"config": {"tau": 0.4, "voxel": {"size": None}}, "seconds": 1.5, "inputs": {"IMG_0000.JPG": "sha256:00"}}
+    run = {
+        "config": {"tau": 0.4, "voxel": {"size": None}},
+        "seconds": 1.5,
+        "cached": True,
+        "peak": None,
+        "inputs": {"IMG_0000.JPG": "sha256:00"},
+    }
     return Site(
         example_map(georeferenced, metric, cell),
         points,

@@ -11,7 +11,7 @@ import rasterio
 from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
-from rasterio.transform import from_origin
+from rasterio.transform import Affine
 
 from excavatwin.export.placement import LOCAL_WKT, frame_sentence, origin_of
 from excavatwin.scene.elevation_map import LAYERS, ElevationMap, Layer
@@ -38,7 +38,7 @@ def encode_geotiff(elevation_map: ElevationMap, name: str) -> bytes:
         "dtype": layer.dtype,
         "height": grid.rows,
         "width": grid.cols,
-        "transform": from_origin(grid.west + origin[0], grid.north + origin[1], grid.cell, grid.cell),
+        "transform": Affine(grid.cell, 0.0, grid.west + origin[0], 0.0, -grid.cell, grid.north + origin[1]),
         "crs": _crs(elevation_map),
         "nodata": layer.fill,
         "compress": "DEFLATE",

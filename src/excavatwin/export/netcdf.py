@@ -60,7 +60,8 @@ def _attributes(site: Site) -> dict[str, Any]:
     for key, value in {**site.map.provenance, **{f"run_{k}": v for k, v in site.run.items()}}.items():
         if value is None:
             continue
-        text = value if isinstance(value, (str, int, float)) else to_json(value)
+        plain = isinstance(value, (str, int, float)) and not isinstance(value, bool)  # NetCDF has no booleans
+        text = value if plain else to_json(value)
         too_long = isinstance(text, str) and len(text.encode()) > _LONGEST
         attributes.setdefault(key, "too long for an attribute: see run.json" if too_long else text)
     return attributes
