@@ -150,7 +150,7 @@ def _vividness(
     red = np.maximum(ramp(-hue, -14.0, -6.0), ramp(hue, 340.0, 350.0)) * ramp(saturation, 0.2, 0.36)
     pink = ramp(hue, 295.0, 315.0) * ramp(saturation, 0.16, 0.3)
     blue = ramp(hue, 165.0, 180.0) * ramp(-hue, -310.0, -290.0) * ramp(saturation, 0.35, 0.55)
-    plastic = ramp(hue, 92.0, 106.0) * ramp(-hue, -185.0, -165.0) * ramp(saturation, 0.42, 0.55)
+    plastic = ramp(hue, 98.0, 110.0) * ramp(-hue, -185.0, -165.0) * ramp(saturation, 0.42, 0.55)
     seen = ramp(brightest, 25.0, 55.0)
     red = np.maximum(red, pink) * seen
     return np.maximum.reduce([red, blue * seen, plastic * ramp(brightest, 110.0, 160.0)]), red

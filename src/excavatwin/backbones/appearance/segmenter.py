@@ -93,8 +93,12 @@ class Appearance:
         haze = ramp(cues.chroma, 0.06, 0.09) * ramp(cues.green, 0.02, 0.05)
         steel = ramp(-cues.warmth, *self.cool) * ramp(cues.relative - 0.6 * thicket, -0.7, -0.1) * (1 - haze)
         white = ramp(cues.relative, *self.bright) * ramp(-cues.chroma, -0.12, -0.07)
+        above = np.log(cues.luminance / np.median(cues.luminance))  # a field of white things is its own surroundings
+        dazzling = ramp(above, 0.55, 0.8) * ramp(-cues.warmth, -0.04, -0.015)
         island = islands(plant) * (1 - ramp(thicket, 0.3, 0.6)) * (1 - shade)
-        thing = np.maximum.reduce([cues.vivid, (1 - plant) * np.maximum.reduce([steel, 0.6 * white, 0.6 * island])])
+        thing = np.maximum.reduce(
+            [cues.vivid, (1 - plant) * np.maximum.reduce([steel, 0.6 * white, 0.75 * dazzling, 0.6 * island])]
+        )
         thing = thing * (1 - machine)
         rest = 1 - machine - thing
         plant = plant * rest

@@ -32,7 +32,7 @@ def find_sky(cues: Cues, smallest: float = 0.002) -> Bool[np.ndarray, "h w"]:
         return sky
     # The texture window blurs the skyline; behind leaves the sky comes through in spots.
     as_bright = (cues.luminance > np.percentile(cues.luminance[sky], 2) - 25) & (cues.warmth < 0.004)
-    return _grown(sky, 2) | (_grown(sky, max(cues.shape) // 16) & as_bright)
+    return _grown(sky, max(2, max(cues.shape) // 128)) | (_grown(sky, max(cues.shape) // 16) & as_bright)
 
 
 def find_water(cues: Cues, smallest: float = 0.012) -> Bool[np.ndarray, "h w"]:
