@@ -16,8 +16,9 @@ def progressive_filter(
 ) -> Bool[np.ndarray, "Y X"]:
     """Cells that stand off the ground, by openings with a window that grows cell by cell (after Zhang et al., 2003).
 
-    Each opening lowers a bump of inclination ``slope`` by at most slope times the growth of the window, so heaps at
-    their angle of repose pass whatever their size; a body with steep sides falls by its whole height at once.
+    Each opening lowers a ridge of inclination ``slope`` by about slope times half the growth of the window (sqrt(2)
+    times that for a cone under a square window), so heaps at their angle of repose pass whatever their size; a body
+    with steep sides falls by its whole height at once.
     Openings never touch what lies *below* its surroundings: pits and trenches stay.
 
     Args:
@@ -34,7 +35,7 @@ def progressive_filter(
     for radius in range(1, max(1, int(np.ceil(window / cell / 2))) + 1):
         opened = opening(surface, radius)
         with np.errstate(invalid="ignore"):
-            raised |= surface - opened > step + slope * 2 * cell
+            raised |= surface - opened > step + slope * np.sqrt(2) * cell
         surface = opened
     return raised
 

@@ -18,21 +18,22 @@ class TerrainEnvelope:
     """Sec. "Terrain Envelope Estimation" (docs/decisions/terrain-envelope.md)."""
 
     percentile: float = 0.10
-    """Height quantile of a cell's inlier voxels that is its reference elevation: low, but never the minimum."""
+    """Height quantile of a cell's view samples that is its reference elevation: low, but never the minimum."""
     window: float = 8.0
     """Widest body that must not be taken for ground [m]; with unknown scale, ``window_share`` of the scene."""
     window_share: float = 0.12
     """The same as a share of the scene's extent, used while the scale is unknown."""
-    step: float = 1.5
+    step: float = 1.0
     """Height that is noise [voxels]."""
     slope: float = 0.9
     """Steepest inclination of terrain that stands up, as a tangent (42 degrees: above any angle of repose)."""
-    delta_h: float = 1.5
+    delta_h: float = 0.6
     """delta_h of eq:gc_continuity, in units of L = one voxel."""
     delta_s: float = 1.0
     """delta_s of eq:gc_continuity (tangent)."""
-    gentle: float = 0.7
-    """A raised region that meets its surroundings continuously on this share of its boundary is a crest: terrain."""
+    gentle: float = 0.4
+    """A raised region that meets its surroundings continuously on this share of its boundary is terrain: the crest of
+    a heap, or ground between a pit and the edge of the map."""
     island: float = 0.6
     """A terrain region that stands above its surroundings on this share of its boundary is an object."""
     min_region: float = 3.0
@@ -124,8 +125,9 @@ def reference_grid(voxels: Voxels) -> tuple[Grid, Int32[np.ndarray, "J"]]:
 def reference_surface(
     voxels: Voxels, local: LocalGeometry, grid: Grid, cell: Int32[np.ndarray, "J"], percentile: float
 ) -> Float32[np.ndarray, "Y X"]:
-    """H_hat: a low height quantile of the inliers of every cell; NaN where there are none [m]."""
+    """H_hat: a low height quantile of the inlying view samples of every cell; NaN where there are none [m]."""
     from excavatwin.kernels.cells import cell_quantile, group_rows
 
-    start, member = group_rows(np.where(local.inlier, cell, -1).astype(np.int32), grid.rows * grid.cols)
-    return cell_quantile(voxels.centre[:, 2], start, member, percentile).reshape(grid.shape)
+    of_sample = np.where(local.inlier, cell, -1).astype(np.int32)[voxels.voxel]
+    start, member = group_rows(of_sample, grid.rows * grid.cols)
+    return cell_quantile(voxels.xyz[:, 2], start, member, percentile).reshape(grid.shape)

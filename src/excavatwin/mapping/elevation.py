@@ -19,9 +19,9 @@ from excavatwin.scene.voxels import Voxels
 class Elevation:
     """Median height of the terrain points of a cell, and how sure it is (docs/decisions/elevation-std.md)."""
 
-    prior: float = 0.3
+    prior: float = 0.1
     """Spread that one more, unseen point is taken to have, so that few points never look exact [voxels]."""
-    floor: float = 0.05
+    floor: float = 0.03
     """Error common to all points of a cell (poses, calibration), which no number of points removes [voxels]."""
 
     def __call__(
