@@ -1,7 +1,7 @@
 """A tiny dig site with exact truth, small enough for the laws of the method to be checked in seconds.
 
-Everything is a height over (x, y): a tilted plain, a pit with vertical walls, a heap at 35 degrees, a box for a machine,
-a smaller box for an obstacle and a hemisphere for a bush.
+Everything is a height over (x, y): a tilted plain, a pit with vertical walls, a heap at 35 degrees, a box for a
+machine, a smaller box for an obstacle and a hemisphere for a bush.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def cast(eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
 class Emulation:
     """How the observations depart from the truth."""
 
-    noise: float = 0.01
+    noise: float = 0.03
     """Standard deviation along the ray [m]."""
     silent: float = 0.2
     """Share of pixels where the segmenter says nothing."""
@@ -95,7 +95,7 @@ class Emulation:
     seed: int = 0
 
 
-def observations(S: int = 8, width: int = 120, emulation: Emulation = Emulation()) -> Observations:  # noqa: B008
+def observations(S: int = 8, width: int = 120, emulation: Emulation = Emulation()) -> Observations:
     """Views of an oblique orbit, with z up and metres."""
     rng = np.random.default_rng(emulation.seed)
     height, focal = width * 3 // 4, 0.8 * width
