@@ -72,7 +72,10 @@ REFUSALS = {
         r"view 1 .*an infinite coordinate at 1 pixel, first at row 2, column 3",
     ),
     "far away": (
-        make(points=lambda a: a["points"] + np.array([0, 4.4e6, 0])),
+        make(
+            points=lambda a: a["points"] + np.array([0, 4.4e6, 0]),
+            T_world_cam=lambda a: a["T_world_cam"] + np.array([[0, 0, 0, 0], [0, 0, 0, 4.4e6], [0] * 4, [0] * 4]),
+        ),
         r"float32 keeps steps of 0\.5 only.*subtract a common origin",
     ),
     "small confidence": (

@@ -33,18 +33,23 @@ def checked_points(points: np.ndarray, where: str) -> Float32[np.ndarray, "H W 3
     nothing: np.ndarray = np.asarray(np.isnan(P).any(axis=-1))
     if np.any(nothing != np.isnan(P).all(axis=-1)):
         P = np.where(nothing[..., None], np.float32(np.nan), P)
-    sample = P.reshape(-1, 3)[:: max(1, P[..., 0].size // 20_000)]
-    sample = sample[~np.isnan(sample[:, 0])]
-    if len(sample):
-        step = float(np.spacing(np.abs(sample).max()))
-        extent = float(np.max(np.subtract(*np.percentile(sample, (95, 5), axis=0))))
-        if step > 1e-4 * max(extent, 1e-12) and extent > 0:
-            raise ObservationError(
-                f"{where}: points lie at coordinates up to {np.abs(sample).max():.6g}, where float32 keeps steps of "
-                f"{step:.2g} only, too coarse for a view {extent:.3g} wide; subtract a common origin from points and "
-                "poses."
-            )
     return P
+
+
+def check_precision(points: Float32[np.ndarray, "H W 3"], centre: Float64[np.ndarray, "3"], where: str) -> None:
+    """Refuse coordinates so large that float32 steps show at the distance from which they are seen."""
+    sample = points.reshape(-1, 3)[:: max(1, points.size // 60_000)]
+    sample = sample[~np.isnan(sample[:, 0])]
+    if not len(sample):
+        return
+    largest = float(np.abs(sample).max())
+    step = float(np.spacing(np.float32(largest)))
+    reach = float(np.median(np.linalg.norm(sample - centre, axis=-1)))
+    if step > 1e-4 * reach:
+        raise ObservationError(
+            f"{where}: points lie at coordinates up to {largest:.6g}, where float32 keeps steps of {step:.2g} only, "
+            f"too coarse for what is seen from {reach:.3g} away; subtract a common origin from points and poses."
+        )
 
 
 def checked_layer(
@@ -149,7 +154,7 @@ def checked_intrinsics(K: np.ndarray, shape: tuple[int, int], where: str) -> Flo
         raise ObservationError(f"{where}: the last row of K is {_row(K[2])}; expected 0 0 1{hint}.")
     if min(fx, fy) <= 0:
         raise ObservationError(f"{where}: K has focal lengths {fx:.6g}, {fy:.6g}; expected positive pixels.")
-    if max(fx, fy) < 10 and max(cx, cy) < 2:
+    if fx < min(10, 0.1 * W) and max(cx, cy) < 2:
         raise ObservationError(
             f"{where}: K has fx = {fx:.4g}, cx = {cx:.4g}, which is normalised by the image size; multiply its rows by "
             f"{W} and {H}."

@@ -13,6 +13,7 @@ from jaxtyping import Float32
 from excavatwin.errors import InputError, ObservationError
 from excavatwin.exchange.archive import Archive, read_archive
 from excavatwin.exchange.checks import (
+    check_precision,
     checked_image,
     checked_intrinsics,
     checked_labels,
@@ -21,7 +22,6 @@ from excavatwin.exchange.checks import (
     checked_pose,
     checked_scale,
     checked_up,
-    numeric,
 )
 from excavatwin.exchange.provenance import Provenance, parse_provenance
 from excavatwin.exchange.reprojection import REFUSED, REPORTED, Reprojection, reprojection
@@ -159,12 +159,16 @@ def _unmapped(named: Sequence[str]) -> str:
 def _view(record: dict[str, Any], where: str, name: str, semantics: _Semantics, provenance: Provenance) -> View:
     points = checked_points(record["points"], where)
     shape = points.shape[:2]
+    confidence = checked_layer(record["confidence"], "confidence", points, where)
+    evidence = semantics.evidence(record, points, where)
+    T_R_cam = checked_pose(record["T_world_cam"], where)
+    check_precision(points, T_R_cam[:3, 3], where)
     return View(
         name=name,
         points=points,
-        confidence=checked_layer(record["confidence"], "confidence", points, where),
-        evidence=semantics.evidence(record, points, where),
-        T_R_cam=checked_pose(numeric(record["T_world_cam"], "T_world_cam", where), where),
+        confidence=confidence,
+        evidence=evidence,
+        T_R_cam=T_R_cam,
         K_cam=checked_intrinsics(record["K"], shape, where),
         image=checked_image(record["images"], shape, where) if "images" in record else None,
         lattice=provenance.lattices.get(name),
