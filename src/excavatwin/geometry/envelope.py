@@ -89,6 +89,17 @@ def boundary_steps(
     return (up / some).astype(np.float32), (level / some).astype(np.float32)
 
 
+def bridge_gaps(H: Float32[np.ndarray, "Y X"], gap: float) -> Float32[np.ndarray, "Y X"]:
+    """``H`` with empty cells at most ``gap`` cells away from an observed one filled from the nearest."""
+    from scipy.ndimage import distance_transform_edt
+
+    empty = ~np.isfinite(H)
+    if gap <= 0 or empty.all():
+        return H
+    distance, nearest = distance_transform_edt(empty, return_indices=True)
+    return np.where(distance <= gap, H[tuple(nearest)], np.nan).astype(np.float32)
+
+
 def fill_ground(H: Float32[np.ndarray, "Y X"], terrain: Bool[np.ndarray, "Y X"]) -> Float32[np.ndarray, "Y X"]:
     """The terrain surface carried on below objects and over gaps: nearest terrain cell, then relaxed to a membrane."""
     from scipy.ndimage import distance_transform_edt, uniform_filter

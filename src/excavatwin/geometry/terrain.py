@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
-from excavatwin.geometry.envelope import boundary_steps, continuity_regions, fill_ground, progressive_filter
+from excavatwin.geometry.envelope import boundary_steps, bridge_gaps, continuity_regions, fill_ground, progressive_filter
 from excavatwin.scene.grid import Grid
 from excavatwin.scene.support import LocalGeometry, Terrain
 from excavatwin.scene.voxels import Voxels
@@ -36,6 +36,8 @@ class TerrainEnvelope:
     a heap, or ground between a pit and the edge of the map."""
     island: float = 0.6
     """A terrain region that stands above its surroundings on this share of its boundary is an object."""
+    gap: float = 2.0
+    """Gaps between observed cells up to twice this wide are bridged [cells]."""
     min_region: float = 3.0
     """Smallest terrain region, as the edge of a square [voxels]; smaller ones are discarded."""
 
@@ -45,8 +47,9 @@ class TerrainEnvelope:
         reference = reference_surface(voxels, local, grid, cell, self.percentile)
         extent = np.sqrt(np.isfinite(reference).sum()) * voxels.size
         window = self.window if metric else self.window_share * extent
-        candidate = np.isfinite(reference) & ~self.raised(reference, voxels.size, window)
-        region = self.regions(reference, candidate, voxels.size, window)
+        bridged = bridge_gaps(reference, self.gap)
+        candidate = np.isfinite(bridged) & ~self.raised(bridged, voxels.size, window)
+        region = self.regions(bridged, candidate, voxels.size, window) * np.isfinite(reference)
         return self.support(voxels, local, grid, cell, reference, region)
 
     def raised(self, reference: Float32[np.ndarray, "Y X"], size: float, window: float) -> Bool[np.ndarray, "Y X"]:
