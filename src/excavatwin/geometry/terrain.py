@@ -7,7 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
-from excavatwin.geometry.envelope import boundary_steps, bridge_gaps, continuity_regions, fill_ground, progressive_filter
+from excavatwin.geometry.envelope import (
+    boundary_steps,
+    bridge_gaps,
+    continuity_regions,
+    fill_ground,
+    progressive_filter,
+)
 from excavatwin.scene.grid import Grid
 from excavatwin.scene.support import LocalGeometry, Terrain
 from excavatwin.scene.voxels import Voxels
