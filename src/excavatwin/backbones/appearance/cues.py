@@ -24,6 +24,8 @@ class Cues:
     """Green leaf index (Louhaichi et al., Geocarto Int. 2001), less the tint of the neutral ground."""
     warmth: Float32[np.ndarray, "h w"]
     """(R-B)/(R+G+B)."""
+    odd_warmth: Float32[np.ndarray, "h w"]
+    """Warmth less its median over a quarter of the image."""
     chroma: Float32[np.ndarray, "h w"]
     """(max-min)/(R+G+B)."""
     plant_hue: Float32[np.ndarray, "h w"]
@@ -60,12 +62,14 @@ def observe(image: UInt8[np.ndarray, "h w 3"]) -> Cues:
     )
     relative = log - _wide(log, side / 10)
     vivid, crimson = _vividness(hue, saturation, brightest)
-    paint, near = _machine(warmth, hue, saturation, brightest, texture, relative, crimson)
+    odd_warmth = warmth - _background(warmth)
+    paint, near = _machine(warmth, odd_warmth, hue, saturation, brightest, texture, relative, crimson)
     return Cues(
         luminance=luminance,
         relative=relative,
         green=_greenness(green, total),
         warmth=warmth,
+        odd_warmth=odd_warmth,
         chroma=chroma,
         plant_hue=ramp(hue, 44.0, 56.0) * ramp(-hue, -190.0, -165.0),
         texture=_without_ridges(texture, odd(side / 64)),
@@ -76,20 +80,22 @@ def observe(image: UInt8[np.ndarray, "h w 3"]) -> Cues:
 
 
 def islands(
-    plant: Float32[np.ndarray, "h w"], largest: float = 0.012, smallest: float = 1e-4
+    candidate: Bool[np.ndarray, "h w"], largest: float, fill: float, smallest: float = 1e-4
 ) -> Bool[np.ndarray, "h w"]:
-    """Compact patches that are not vegetation but lie in it: roofs, rocks, benches (or bare spots, which are flat).
+    """Compact patches of a candidate mask.
 
     Args:
-        plant: vegetation, 0..1.
+        candidate: what a patch may consist of.
         largest: of the image's area.
-        smallest: of the image's area.
+        fill: share of its upright bounding box that a patch must cover; a road that winds through the photo does not.
+        smallest: of the image's area; bridges and specks of half that width are taken away first.
     """
-    bare = cv2.morphologyEx((plant < 0.35).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    _, label, stats, _ = cv2.connectedComponentsWithStats(bare, connectivity=4)
+    width = odd(np.sqrt(smallest * candidate.size) / 2)
+    solid = cv2.morphologyEx(candidate.astype(np.uint8), cv2.MORPH_OPEN, np.ones((width, width), np.uint8))
+    _, label, stats, _ = cv2.connectedComponentsWithStats(solid, connectivity=4)
     area = stats[:, cv2.CC_STAT_AREA]
     box = stats[:, cv2.CC_STAT_WIDTH] * stats[:, cv2.CC_STAT_HEIGHT]
-    compact = (area > smallest * bare.size) & (area < largest * bare.size) & (area > 0.4 * box)
+    compact = (area > smallest * solid.size) & (area < largest * solid.size) & (area > fill * box)
     compact[0] = False
     return compact[label]
 
@@ -158,6 +164,7 @@ def _vividness(
 
 def _machine(
     warmth: Float32[np.ndarray, "h w"],
+    odd_warmth: Float32[np.ndarray, "h w"],
     hue: Float32[np.ndarray, "h w"],
     saturation: Float32[np.ndarray, "h w"],
     brightest: Float32[np.ndarray, "h w"],
@@ -174,7 +181,6 @@ def _machine(
     side = max(warmth.shape)
     seen = ramp(brightest, 30.0, 60.0) * ramp(relative, -0.8, -0.3)
     contrast = ramp(_spread(warmth, odd(side / 26)), 0.026, 0.042)
-    odd_warmth = warmth - _background(warmth)
     yellow = ramp(hue, 28.0, 36.0) * ramp(-hue, -57.0, -50.0)
     orange = ramp(hue, 10.0, 16.0) * ramp(-hue, -64.0, -58.0)
     faded = yellow * ramp(warmth, 0.08, 0.13) * ramp(odd_warmth, 0.03, 0.06) * contrast

@@ -45,7 +45,7 @@ class Appearance:
     """Long side at which the cues are computed; larger photos are shrunk, evidence is interpolated back [px]."""
     green: tuple[float, float] = (0.022, 0.055)
     """Green leaf index (2G-R-B)/(2G+R+B) above that of the neutral ground: from no to certain vegetation."""
-    crown_texture: tuple[float, float] = (0.075, 0.14)
+    crown_texture: tuple[float, float] = (0.1, 0.19)
     """Local standard deviation of log luminance: from mown turf to bushes and crowns."""
     soil_warmth: tuple[float, float] = (0.0, 0.07)
     """(R-B)/(R+G+B): from grey pavement to soil."""
@@ -95,10 +95,12 @@ class Appearance:
         white = ramp(cues.relative, *self.bright) * ramp(-cues.chroma, -0.12, -0.07)
         above = np.log(cues.luminance / np.median(cues.luminance))  # a field of white things is its own surroundings
         dazzling = ramp(above, 0.55, 0.8) * ramp(-cues.warmth, -0.04, -0.015)
-        island = islands(plant) * (1 - ramp(thicket, 0.3, 0.6)) * (1 - shade)
-        thing = np.maximum.reduce(
-            [cues.vivid, (1 - plant) * np.maximum.reduce([steel, 0.6 * white, 0.75 * dazzling, 0.6 * island])]
-        )
+        grey = ramp(-cues.odd_warmth, 0.04, 0.07) * ramp(-cues.chroma, -0.045, -0.025) * ramp(cues.relative, 0.0, 0.12)
+        bare = (plant < 0.35) & (cues.warmth < 0.09)  # roofs and rocks, not patches of dry grass
+        island = islands(bare, largest=0.012, fill=0.4) * (1 - ramp(thicket, 0.3, 0.6)) * (1 - shade)
+        island = np.maximum(island, islands(grey * (1 - plant) > 0.5, largest=0.03, fill=0.42, smallest=8e-4))
+        signs = [steel, 0.6 * white, 0.75 * dazzling, 0.65 * island]
+        thing = np.maximum.reduce([cues.vivid, (1 - plant) * np.maximum.reduce(signs)])
         thing = thing * (1 - machine)
         rest = 1 - machine - thing
         plant = plant * rest
