@@ -133,7 +133,7 @@ def example_view(name: str, azimuth: float, shape: tuple[int, int] = (60, 90)) -
     image = np.where(hit[..., None], colours[label] * light[..., None] * 0.8 + 30, (150, 185, 220))
     points = np.where(hit[..., None], p, np.nan).astype(np.float32)
     evidence = (np.eye(6, dtype=np.float32)[label] * hit[..., None])[..., 1:]
-    lattice = Lattice(4 * W, 4 * H, np.array([[0.25, 0, 0], [0, 0.25, 0]]), K * [[4], [4], [1]], (-0.01, 0, 0, 0))
+    lattice = Lattice(4 * W, 4 * H, np.array([[0.25, 0, 0], [0, 0.25, 0]]), K * [[4], [4], [1]], (-0.01, 0.0, 0.0, 0.0))
     return View(
         name, points, np.where(hit, 3, 0).astype(np.float32), np.ascontiguousarray(evidence), T, K,
         np.clip(image, 0, 255).astype(np.uint8), lattice,

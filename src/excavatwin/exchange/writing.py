@@ -6,7 +6,7 @@ import json
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -86,7 +86,8 @@ def _write_npz(file: BinaryIO, views: Sequence[View], shared: dict[str, np.ndarr
                 continue
             shape = np.shape(of(views[0]))
             with archive.open(_entry(key), "w", force_zip64=True) as member:
-                _write_header(member, (len(views), *shape) if stacked else shape, dtype)
+                header = {"descr": dtype, "fortran_order": False, "shape": (len(views), *shape) if stacked else shape}
+                np.lib.format.write_array_header_1_0(member, header)
                 for view in views:
                     member.write(np.ascontiguousarray(of(view), dtype).data.cast("B"))
         for key, array in shared.items():
@@ -97,7 +98,3 @@ def _write_npz(file: BinaryIO, views: Sequence[View], shared: dict[str, np.ndarr
 def _entry(key: str) -> zipfile.ZipInfo:
     """A member with a fixed date: equal observations give equal bytes."""
     return zipfile.ZipInfo(f"{key}.npy", (1980, 1, 1, 0, 0, 0))
-
-
-def _write_header(member: IO[bytes], shape: tuple[int, ...], dtype: str) -> None:
-    np.lib.format.write_array_header_1_0(member, {"descr": dtype, "fortran_order": False, "shape": shape})
