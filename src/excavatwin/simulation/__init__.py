@@ -1,0 +1,28 @@
+"""A procedural dig site, photographed: photos with exact truth, for the sample, the tests and the benchmarks.
+
+``DigSite`` says what the site is, ``orbit`` flies around it, ``render_view`` takes one photo with its truth,
+``site_truth`` is what a perfect survey would find, ``exact_observations`` is what perfect models would deliver.
+"""
+
+from __future__ import annotations
+
+from excavatwin.simulation.camera import Camera, look_at, orbit
+from excavatwin.simulation.observations import exact_observations
+from excavatwin.simulation.render import RenderedView, render_view
+from excavatwin.simulation.site import DigSite, Placement
+from excavatwin.simulation.terrain import Earthworks
+from excavatwin.simulation.truth import save_truth, site_truth
+
+__all__ = [
+    "Camera",
+    "DigSite",
+    "Earthworks",
+    "Placement",
+    "RenderedView",
+    "exact_observations",
+    "look_at",
+    "orbit",
+    "render_view",
+    "save_truth",
+    "site_truth",
+]

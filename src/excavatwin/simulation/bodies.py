@@ -1,0 +1,137 @@
+"""Bodies: boxes, cylinders, tubes, cones and ellipsoids, each the unit shape of its kind under an affine map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int32, Int64, UInt8
+
+
+class Kind(IntEnum):
+    """Unit shapes; all fill [-1, 1]^3 and round ones have their axis along local z."""
+
+    BOX = 0
+    CYLINDER = 1
+    TUBE = 2  #: cylinder with a bore of ``TUBE_BORE`` of its radius
+    CONE = 3  #: radius 1 at local z = -1, 0 at +1
+    ELLIPSOID = 4
+
+
+TUBE_BORE = 0.82
+
+
+class Material(IntEnum):
+    """What a body looks like; the ground's materials are fields of the terrain."""
+
+    YELLOW_PAINT = 0
+    DARK_STEEL = 1
+    GLASS = 2
+    CONCRETE = 3
+    WHITE_PAINT = 4
+    ORANGE_PLASTIC = 5
+    WOOD = 6
+    LEAVES = 7
+    GRASS = 8
+    BARK = 9
+    BLUE_PAINT = 10
+
+
+@dataclass(frozen=True)
+class Body:
+    """One convex (or bored) solid."""
+
+    kind: Kind
+    centre: Float64[np.ndarray, "3"]
+    """Frame M [m]."""
+    axes: Float64[np.ndarray, "3 3"]
+    """Columns: the local axes in frame M, orthonormal."""
+    half: Float64[np.ndarray, "3"]
+    """Half extents along the local axes [m]."""
+    material: Material
+    porosity: float = 0.0
+    """Share of the shell that is holes (foliage), 0..1."""
+
+    def moved(self, R: Float64[np.ndarray, "3 3"], t: Float64[np.ndarray, "3"]) -> Body:
+        """The body after the rigid motion p -> R p + t."""
+        return Body(self.kind, R @ self.centre + t, R @ self.axes, self.half, self.material, self.porosity)
+
+    def outline(self, count: int = 32) -> Float64[np.ndarray, "n 3"]:
+        """Points whose convex hull is (for round bodies: approximates) that of the body, frame M [m]."""
+        turn = np.linspace(0, 2 * np.pi, count, endpoint=False)
+        ring = np.c_[np.cos(turn), np.sin(turn)]
+        if self.kind == Kind.BOX:
+            local = np.array(np.meshgrid((-1, 1), (-1, 1), (-1, 1))).reshape(3, -1).T.astype(float)
+        elif self.kind in (Kind.CYLINDER, Kind.TUBE):
+            local = np.concatenate([np.c_[ring, np.full(count, z)] for z in (-1.0, 1.0)])
+        elif self.kind == Kind.CONE:
+            local = np.concatenate([np.c_[ring, np.full(count, -1.0)], [[0, 0, 1]]])
+        else:
+            heights = np.sin(np.linspace(-np.pi / 2, np.pi / 2, count // 2))
+            local = np.concatenate([np.c_[ring * np.sqrt(1 - z * z), np.full(count, z)] for z in heights])
+        return self.centre + (local * self.half) @ self.axes.T
+
+
+class BodyArrays(NamedTuple):
+    """Bodies with a bounding-volume hierarchy, as arrays for the ray caster."""
+
+    centre: Float64[np.ndarray, "n 3"]
+    axes: Float64[np.ndarray, "n 3 3"]
+    half: Float64[np.ndarray, "n 3"]
+    kind: Int64[np.ndarray, "n"]
+    material: Int64[np.ndarray, "n"]
+    porosity: Float64[np.ndarray, "n"]
+    label: UInt8[np.ndarray, "n"]
+    instance: Int32[np.ndarray, "n"]
+    low: Float64[np.ndarray, "m 3"]
+    """Boxes of the tree's nodes, in depth-first order."""
+    high: Float64[np.ndarray, "m 3"]
+    skip: Int64[np.ndarray, "m"]
+    """The node to go on with when the box is missed: no stack needed."""
+    leaf: Int64[np.ndarray, "m"]
+    """Index of the node's body, -1 for inner nodes."""
+
+
+def body_arrays(bodies: list[Body], labels: list[int], instances: list[int]) -> BodyArrays:
+    """Pack bodies with their class and object ids, and build the tree by halving along the longest axis."""
+    n = len(bodies)
+    centre = np.array([body.centre for body in bodies], float).reshape(n, 3)
+    axes = np.array([body.axes for body in bodies], float).reshape(n, 3, 3)
+    half = np.array([body.half for body in bodies], float).reshape(n, 3)
+    reach = np.abs(axes * half[:, None, :]).sum(-1)  # box of the box: contains every unit shape
+    low: list[np.ndarray] = []
+    high: list[np.ndarray] = []
+    skip: list[int] = []
+    leaf: list[int] = []
+
+    def grow(members: np.ndarray) -> None:
+        node = len(low)
+        low.append((centre - reach)[members].min(0))
+        high.append((centre + reach)[members].max(0))
+        skip.append(0)
+        leaf.append(int(members[0]) if len(members) == 1 else -1)
+        if len(members) > 1:
+            axis = np.argmax(np.ptp(centre[members], axis=0))
+            order = members[np.argsort(centre[members, axis], kind="stable")]
+            grow(order[: len(order) // 2])
+            grow(order[len(order) // 2 :])
+        skip[node] = len(low)
+
+    if n:
+        grow(np.arange(n))
+    return BodyArrays(
+        centre,
+        axes,
+        half,
+        np.array([body.kind for body in bodies], np.int64),
+        np.array([body.material for body in bodies], np.int64),
+        np.array([body.porosity for body in bodies], float),
+        np.array(labels, np.uint8),
+        np.array(instances, np.int32),
+        np.array(low, float).reshape(-1, 3),
+        np.array(high, float).reshape(-1, 3),
+        np.array(skip, np.int64),
+        np.array(leaf, np.int64),
+    )
