@@ -155,7 +155,7 @@ def _colour(k: int) -> tuple[float, float, float]:
 
 def _padding(axes: Axes, width: float, height: float) -> tuple[float, float]:
     """What to add on both sides so that the map fills its panel without being stretched."""
-    box = axes.get_position()
+    box = axes.get_position(original=True)
     figure_width, figure_height = axes.get_figure(root=True).get_size_inches()  # type: ignore[union-attr]
     aspect = (box.width * figure_width) / (box.height * figure_height)
     return max(0.0, (height * aspect - width) / 2), max(0.0, (width / aspect - height) / 2)
@@ -207,7 +207,7 @@ def facts(site: Site) -> str:
     w, h = (cols.stop - cols.start) * m.grid.cell, (rows.stop - rows.start) * m.grid.cell
     cell = f"{100 * m.grid.cell:.3g} cm" if m.metric and m.grid.cell < 1 else f"{m.grid.cell:.3g} {m.unit}"
     parts = [
-        f"{len(site.views)} photos",
+        f"{len(site.views)} photo{'s' if len(site.views) != 1 else ''}",
         f"{w:.3g} × {h:.3g} {m.unit}",
         f"cell {cell}",
         f"{len(m.objects)} object{'s' if len(m.objects) != 1 else ''}",
