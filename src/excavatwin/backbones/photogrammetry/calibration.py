@@ -9,6 +9,7 @@ focal lengths are scaled by ``PROBE`` and everything else is adjusted again. Whe
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -63,7 +64,7 @@ def adjust(model: pycolmap.Reconstruction, focal: bool, distortion: bool) -> flo
     for image_id in sorted(model.reg_image_ids()):
         everything.add_image(image_id)
     everything.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    summary = pycolmap.create_default_bundle_adjuster(options, everything, model).solve()
+    summary: Any = pycolmap.create_default_bundle_adjuster(options, everything, model).solve()
     return 2 * float(summary.ceres_summary.final_cost)
 
 

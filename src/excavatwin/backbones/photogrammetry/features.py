@@ -61,7 +61,7 @@ def _extract_one(photo: Photo, long_side: int, max_features: int, contrast: floa
         grey = cv2.cvtColor(read_photo(photo, long_side=long_side), cv2.COLOR_RGB2GRAY)
     except (InputError, OSError) as failure:
         return Unplaced(photo.name, f"could not be read: {failure}")
-    sift = cv2.SIFT_create(max_features, contrastThreshold=contrast, enable_precise_upscale=True)
+    sift = cv2.SIFT.create(max_features, contrastThreshold=contrast, enable_precise_upscale=True)
     keypoints, histograms = sift.detectAndCompute(grey, None)
     scale = max(grey.shape) / max(photo.width, photo.height)
     if not keypoints:

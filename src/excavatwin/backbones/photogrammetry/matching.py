@@ -38,7 +38,7 @@ def match(a: Features, b: Features, ratio: float, first: int | None = None) -> U
 
 
 @njit(cache=True, nogil=True)
-def _mutual(product, a2, b2, ratio2):  # type: ignore[no-untyped-def]
+def _mutual(product, a2, b2, ratio2):
     """Matches from inner products and squared norms, in one pass over the product."""
     n, m = product.shape
     row1, row2 = np.full(n, np.inf, np.float32), np.full(n, np.inf, np.float32)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from excavatwin.backbones.photogrammetry.calibration import USUAL_FOCAL, Calibra
 from excavatwin.backbones.photogrammetry.features import Features, extract
 from excavatwin.backbones.photogrammetry.matching import Pair, choose_pairs, match_pairs
 from excavatwin.backbones.photogrammetry.placement import PlacedCamera, Placement, SparsePoints
+from excavatwin.backbones.photogrammetry.placing import Placing
 from excavatwin.errors import InputError, ReconstructionError
 from excavatwin.scene.frames import invert_rigid
 from excavatwin.scene.observations import Unplaced
@@ -26,27 +26,7 @@ LEAST_VIEWS = 3
 ADVICE = "take photos that overlap their neighbours by 70 % or more, sharp, from moving positions"
 
 
-@dataclass(frozen=True)
-class PoseSettings:
-    """Parameters of structure from motion. The defaults serve drone photos."""
-
-    long_side: int = 1000
-    """Photos are shrunk to this before features are sought [px]."""
-    max_features: int = 3000
-    """Features kept per photo."""
-    contrast: float = 0.03
-    """Least contrast of a feature (OpenCV's SIFT); half of it takes twice the time and places no more photos."""
-    neighbours: int = 12
-    """Photos that each photo is compared with in sets too large to compare all."""
-    exhaustive_up_to: int = 24
-    """Sets up to this size are compared all with all."""
-    ratio: float = 0.8
-    """A match is this much nearer than the next best one."""
-    seed: int = 0
-    """Of every random choice."""
-
-
-def structure_from_motion(photos: Sequence[Photo], settings: PoseSettings, progress: Progress = silent) -> Placement:
+def structure_from_motion(photos: Sequence[Photo], settings: Placing, progress: Progress = silent) -> Placement:
     """Poses and sparse points in an arbitrary frame (``up_from`` is ``unknown``: not upright yet).
 
     Of several blocks that do not hang together the largest is kept; the photos of the others are named.
@@ -108,7 +88,7 @@ def _map(
     features: Sequence[Features],
     cameras: Sequence[pycolmap.Camera],
     verified: Mapping[Pair, pycolmap.TwoViewGeometry],
-    settings: PoseSettings,
+    settings: Placing,
     progress: Progress,
 ) -> list[pycolmap.Reconstruction]:
     """All blocks that incremental mapping finds; image ids are positions in ``features`` plus one."""
@@ -211,11 +191,12 @@ def _placement(
     cameras, visible = [], []
     for image_id in sorted(model.reg_image_ids()):
         item, image = features[image_id - 1], model.image(image_id)
+        lens = model.camera(image.camera_id)
         seen = [point for point in image.points2D if point.has_point3D()]
         pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
-        f, _, _, *radial = image.camera.params
+        f, _, _, *radial = lens.params
         world = np.array([model.point3D(point.point3D_id).xyz for point in seen]).reshape(-1, 3)
-        uv = np.asarray(image.camera.img_from_cam(world @ pose[:3, :3].T + pose[:3, 3])).reshape(-1, 2)
+        uv = np.asarray(lens.img_from_cam(world @ pose[:3, :3].T + pose[:3, 3])).reshape(-1, 2)
         error = np.linalg.norm(uv - np.array([point.xy for point in seen]).reshape(-1, 2), axis=1)
         photo = item.photo
         K = np.array([[f / item.scale, 0, photo.width / 2], [0, f / item.scale, photo.height / 2], [0, 0, 1]])
