@@ -1,4 +1,4 @@
-"""A small dig site with exact truth for the tests and the benchmark of dense stereo: a heightfield, seen by ray marching."""
+"""A dig site with exact truth for the tests and the benchmark of dense stereo: a heightfield, seen by ray marching."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth maps against each other, and against themselves: agreement between two views, and the size of connected surfaces."""
+"""Depth maps: agreement between those of two views, and the size of connected surfaces in one."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ def _sample(depth, u, v, relative):
 
 @_jit
 def add_agreement(depth, other, M, t, N, n, pixels, relative, votes, meeting, weight):
-    """Let another view vote on a depth map: forward-backward reprojection, and where each ray meets the other's surface.
+    """Let another view vote on a depth map, by forward-backward reprojection; find where each ray meets its surface.
 
     Args:
         depth: (H, W) float32 along the optical axis, NaN = none; other: (Ho, Wo), the other view's.
         M, t: (3, 3), (3,) float64: pixel p at depth D lies at ``D M p + t`` (homogeneous) in the other view.
         N, n: the same from the other view back.
-        pixels: largest distance of the returning point from its pixel [px]; relative: largest relative change of its depth.
+        pixels: largest distance of the returning point from its pixel [px]; relative: of its depth, as a share.
         votes: (H, W) float32, grows by 1 where the views agree.
-        meeting: (H, W) float64, grows there by ``weight`` times the inverse depth at which the ray meets the other's surface.
+        meeting: (H, W) float64, grows there by ``weight`` times the inverse depth where the ray meets the surface.
     """
     rows, cols = depth.shape
     for r in range(rows):
@@ -76,7 +76,7 @@ def add_agreement(depth, other, M, t, N, n, pixels, relative, votes, meeting, we
 
 @_jit
 def surface_sizes(depth, relative):
-    """Number of pixels of the connected surface that each pixel belongs to (4 neighbours, depth step below ``relative``).
+    """Number of pixels of each pixel's connected surface (4 neighbours, depth step below ``relative``).
 
     Args:
         depth: (H, W) float32, NaN = none.

@@ -4,9 +4,9 @@ A pixel p = (x, y, 1) has inverse depth ``w * slope(p)`` under plane w, so its p
 ``M_s p + w slope(p) t_s`` up to scale. Each pixel has its own *band* of consecutive planes, stored one after the other
 (``start``, ``first``): a full sweep and a narrow coarse-to-fine search are the same loop.
 
-Windows of 5 x 5 pixels are compared by zero-mean normalised cross-correlation with bilateral weights of the reference window,
-which keeps them from reaching over depth edges (Yoon & Kweon, TPAMI 2006; as in COLMAP's PatchMatch, Schönberger et al.,
-ECCV 2016). Loops run over tiles that fit the first-level cache and over rows that the compiler vectorises.
+Windows of 5 x 5 pixels are compared by zero-mean normalised cross-correlation with bilateral weights of the reference
+window, which keeps them from reaching over depth edges (Yoon & Kweon, TPAMI 2006; as in the PatchMatch of COLMAP,
+Schönberger et al., ECCV 2016). Loops run over tiles that stay in cache and over rows that the compiler vectorises.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numba import njit
 RADIUS = 2
 SIDE = 2 * RADIUS + 1
 TILE_ROWS = 16
-TILE_COLS = 64
+TILE_COLS = 32
 WORST = 250
 """Cost of a window without positive correlation; costs are round(WORST * (1 - ZNCC)), clipped."""
 _NONE = np.float32(1e9)
@@ -137,15 +137,14 @@ def _store_row(y, k, p0, width, best, start, first, costs):
 
 
 @_jit
-def _band_of_rows(start, first, r0, rows, cols, c0, width, low, high):
-    """First and last + 1 plane that any pixel of each row of a tile needs."""
-    for y in range(TILE_ROWS):
-        low[y], high[y] = 1 << 30, -1
-        if r0 + y < rows:
-            for p in range((r0 + y) * cols + c0, (r0 + y) * cols + c0 + width):
-                if start[p + 1] > start[p]:
-                    low[y] = min(low[y], first[p])
-                    high[y] = max(high[y], first[p] + start[p + 1] - start[p])
+def _mark_wanted(start, first, r0, rows, cols, c0, width, wanted):
+    """For each row of a tile, the planes that lie in the band of any of its pixels; the last row marks those of all."""
+    wanted[:] = False
+    for y in range(min(TILE_ROWS, rows - r0)):
+        for p in range((r0 + y) * cols + c0, (r0 + y) * cols + c0 + width):
+            for k in range(first[p], first[p] + start[p + 1] - start[p]):
+                wanted[y, k] = True
+                wanted[TILE_ROWS, k] = True
 
 
 @_jit
@@ -158,7 +157,7 @@ def band_costs(padded, sources, sizes, M, t, slope, w0, dw, start, first, tone, 
         sizes: (S, 3) int64, rows and columns that each fills, and the stride of its rows.
         M, t: (S, 3, 3) and (S, 3) float32: a reference pixel (centre at +0.5) goes to ``M p + w slope t``.
         w0, dw: plane k lies at w0 + k dw.
-        start: (H, W + 1) ... flat (H W + 1,) int64, where each band begins in the result; first: (H, W) int32, its first plane.
+        start: (H W + 1,) int64, where each pixel's band begins in the result; first: (H, W) int32, its first plane.
         tone, space: (256,) and (5, 5) float32 bilateral weights by grey difference and by place.
         noise: variance of the image noise, keeps flat windows from correlating [grey^2].
 
@@ -176,20 +175,25 @@ def band_costs(padded, sources, sizes, M, t, slope, w0, dw, start, first, tone, 
     u, v, z = np.empty_like(px), np.empty_like(px), np.empty_like(px)
     s1, s2, rs = np.empty(TILE_COLS, np.float32), np.empty(TILE_COLS, np.float32), np.empty(TILE_COLS, np.float32)
     best = np.empty((keep, TILE_COLS), np.float32)
-    low, high = np.empty(TILE_ROWS, np.int64), np.empty(TILE_ROWS, np.int64)
+    planes = 0
+    for p in range(rows * cols):
+        planes = max(planes, first[p // cols, p % cols] + start[p + 1] - start[p])
+    wanted = np.empty((TILE_ROWS + 1, planes), np.bool_)
     flat_first = first.ravel()
     for r0 in range(0, rows, TILE_ROWS):
         for c0 in range(0, cols, TILE_COLS):
             width = min(TILE_COLS, cols - c0)
-            _band_of_rows(start, flat_first, r0, rows, cols, c0, width, low, high)
-            if high.max() < 0:
+            _mark_wanted(start, flat_first, r0, rows, cols, c0, width, wanted)
+            if not wanted[TILE_ROWS].any():
                 continue
             for y in range(py.size):
                 py[y] = min(max(r0 + y - RADIUS, 0), rows - 1) + 0.5
             for x in range(px.size):
                 px[x] = min(max(c0 + x - RADIUS, 0), cols - 1) + 0.5
             _weigh_tile(padded, r0, c0, tone, space, weight, weighted, scale, noise)
-            for k in range(low.min(), high.max()):
+            for k in range(planes):
+                if not wanted[TILE_ROWS, k]:
+                    continue
                 w = np.float32(w0 + k * dw)
                 for s in range(n):
                     _warp_tile(
@@ -197,7 +201,7 @@ def band_costs(padded, sources, sizes, M, t, slope, w0, dw, start, first, tone, 
                         py, px, u, v, z, warped[s],
                     )  # fmt: skip
                 for y in range(TILE_ROWS):
-                    if low[y] <= k < high[y]:
+                    if wanted[y, k]:
                         best[:] = _NONE
                         for s in range(n):
                             _correlate_row(warped[s], y, weight, weighted, s1, s2, rs)

@@ -1,4 +1,7 @@
-"""Semi-global aggregation of matching costs in per-pixel bands (Hirschmüller, TPAMI 2008; bands as in Rothermel et al., 2012)."""
+"""Semi-global aggregation of matching costs (Hirschmüller, TPAMI 2008) in a band of planes per pixel.
+
+The bands follow a coarser result, as in the tSGM of SURE (Rothermel et al., LC3D 2012).
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ def aggregate(costs, start, first, image, P1, P2, P2_least, contrast):
 
     Args:
         costs: (start[-1],) uint8, band after band; start: (H W + 1,) int64; first: (H W,) int32.
-        image: (H, W) float32: a step in it makes a step in depth cheaper, ``max(P2 / (1 + |step| / contrast), P2_least)``.
+        image: (H, W) float32; across a step in it P2 falls to ``max(P2 / (1 + |step| / contrast), P2_least)``.
         P1: price of a change by one plane between neighbours; P2: of any larger change.
 
     Returns:

@@ -27,8 +27,9 @@ def agree(
 ) -> tuple[Float32[np.ndarray, "H W"], Float32[np.ndarray, "H W"]]:
     """Number of views that confirm each depth, and the depth that they and the view itself agree on.
 
-    A view confirms a depth when its point, sent over to that view and back from the surface there, returns within ``pixels``
-    [px] and ``relative`` of its depth. The agreed depth is the harmonic mean of the places where the ray meets the surfaces.
+    A view confirms a depth when its point, sent over to that view and back from the surface there, returns within
+    ``pixels`` [px] and ``relative`` of its depth. The agreed depth is the harmonic mean of the depths at which the
+    pixel's ray meets the surfaces that the views found: it is more precise than each of them.
     """
     from excavatwin.kernels import depth_maps
 

@@ -1,8 +1,8 @@
 """Dense depth of every placed photo on the CPU: plane sweep, then what the views agree on.
 
-Every photo is matched against a few others by sweeping horizontal planes (Collins, CVPR 1996; Gallup et al., CVPR 2007, sweep
-along scene directions), the costs are aggregated semi-globally, and only depths that other views confirm are kept. Measured
-choices: ``docs/decisions/dense-stereo.md``.
+Every photo is matched against a few others by sweeping horizontal planes (Collins, CVPR 1996; along directions of the
+scene as in Gallup et al., CVPR 2007), the costs are aggregated semi-globally, and only depths that other views confirm
+are kept. Measured choices: ``docs/decisions/dense-stereo.md``.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ def densify(
         sparse: points of structure from motion in the upright frame R: they give the height range and the pairs.
 
     Returns:
-        For each photo its depth along the optical axis [su], NaN where nothing trustworthy was found, and its support, the
-        number of photos that confirm it. Photos without partners come back empty.
+        For each photo its depth along the optical axis [su], NaN where nothing trustworthy was found, and its support,
+        the number of photos that confirm it. Photos without partners come back empty.
     """
     dense = parameters or Dense()
     scores = pair_scores(images, sparse, dense.angle_min, dense.angle_best, dense.angle_max)

@@ -15,8 +15,9 @@ def pair_scores(
 ) -> Float64[np.ndarray, "S S"]:
     """How well view s serves as a source of view r, at [r, s]: a sum over their common sparse points.
 
-    A point counts 1 when its rays meet under ``angle_best`` [deg], less towards ``angle_min`` and ``angle_max``, and less
-    when the source sees it much smaller or larger. In the spirit of the view selection of MVSNet (Yao et al., ECCV 2018).
+    A point counts 1 when its rays meet under ``angle_best`` [deg], less towards ``angle_min`` and ``angle_max``, and
+    less when the source sees it much smaller or larger. In the spirit of the view selection of MVSNet (Yao et al.,
+    ECCV 2018).
     """
     n = len(images)
     centres = np.array([image.T_R_cam[:3, 3] for image in images])

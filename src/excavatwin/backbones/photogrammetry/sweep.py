@@ -32,8 +32,8 @@ def plane_family(
 ) -> PlaneFamily | None:
     """Horizontal planes that enclose the points a camera sees; None when there are too few.
 
-    Where more than a twentieth of the points is seen under less than ``grazing`` [deg] against the plane (hand-held photos of
-    a heap), the normal tilts towards the camera until they are not; the limit is the fronto-parallel sweep.
+    Where more than a twentieth of the points is seen under less than ``grazing`` [deg] against the plane (hand-held
+    photos of a heap), the normal tilts towards the camera until they are not; the limit is the fronto-parallel sweep.
 
     Args:
         xyz: sparse points that the camera sees [frame R].
@@ -50,7 +50,10 @@ def plane_family(
         if np.quantile(-unit @ normal, 0.05) > np.sin(np.radians(grazing)):
             break
     distance = -rays @ normal
-    near, middle, far = np.quantile(distance[distance > 0], (0.01, 0.5, 0.99))
+    distance = distance[distance > 0]
+    if len(distance) < 8:
+        return None
+    near, middle, far = np.quantile(distance, (0.01, 0.5, 0.99))
     widen = margin * (far - near) + 0.3 * margin * middle
     near = max(near - widen, 0.25 * middle, 0.5 * near)
     return PlaneFamily(normal, 1 / (far + widen), 1 / near)
@@ -72,9 +75,9 @@ def grey_pyramid(image: PosedImage, levels: int) -> list[Float32[np.ndarray, "h 
     """Grey values of an image, finest first, each half the size of the one before; NaN where there is no photo."""
     import cv2
 
-    grey = cv2.cvtColor(image.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    valid = None if image.valid is None else (image.valid > 0).astype(np.float32)
-    pyramid = []
+    grey: np.ndarray = cv2.cvtColor(image.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    valid: np.ndarray | None = None if image.valid is None else (image.valid > 0).astype(np.float32)
+    pyramid: list[np.ndarray] = []
     for level in range(levels):
         if level:
             size = (max(grey.shape[1] // 2, 2), max(grey.shape[0] // 2, 2))
@@ -140,7 +143,7 @@ def bilateral(gamma_tone: float, gamma_space: float) -> tuple[Float32[np.ndarray
 
 
 def plane_spacing(level: Level, family: PlaneFamily, step: float) -> float:
-    """Change of w that moves a pixel by ``step`` pixels in the sources (upper quartile of the view, mean of the sources)."""
+    """Change of w that moves a pixel by ``step`` px in its sources: upper quartile of pixels, mean of sources."""
     h, w = level.slope.shape
     y, x = np.mgrid[h // 16 : h : max(h // 8, 1), w // 16 : w : max(w // 8, 1)]
     slope = level.slope[y, x].ravel().astype(float)
