@@ -47,12 +47,8 @@ def naive_cost(reference, source, M, t, slope, w, r, c, tone, space) -> float:
 def scene(seed: int = 0, rows: int = 19, cols: int = 37):
     rng = np.random.default_rng(seed)
     reference = rng.uniform(60, 190, (rows, cols)).astype(np.float32)
-    sources = [
-        np.roll(reference, (0, 2), (0, 1)),
-        np.roll(reference, (0, 3), (0, 1)),
-        np.roll(reference, (1, 0), (0, 1)),
-    ]
-    sources = np.array(sources, np.float32) + rng.normal(0, 4, (3, rows, cols)).astype(np.float32)
+    shifted = [np.roll(reference, shift, (0, 1)) for shift in ((0, 2), (0, 3), (1, 0))]
+    sources = np.array(shifted, np.float32) + rng.normal(0, 4, (3, rows, cols)).astype(np.float32)
     M = np.array([np.eye(3)] * 3) + rng.normal(0, 1e-4, (3, 3, 3)) * [[1, 1, 20], [1, 1, 20], [0.01, 0.01, 0]]
     t = np.array([[1.0, 0, 0], [1.5, 0.01, 0], [0, 0.5, 0.001]])
     slope = rng.uniform(0.95, 1.05, (rows, cols)).astype(np.float32)
@@ -159,7 +155,6 @@ def test_shifted_bands_aggregate_like_the_full_volume_restricted_to_them():
     np.testing.assert_allclose(
         total.reshape(-1, 4), 8 * band.astype(float)
     )  # free changes: every path keeps its own cost
-    # one pixel's outside neighbour cannot be reached without paying P2
     dear = semi_global.aggregate(band.ravel(), start, begin, image, 5.0, 90.0, 90.0, 10.0)
     assert (dear >= total - 1e-3).all()
 

@@ -45,11 +45,11 @@ class Dense:
     """Rays under a smaller angle against the planes than this get no depth [deg]."""
     steps: tuple[float, ...] = (0.5, 1.0, 1.0)
     """Spacing of the planes at full, half and quarter resolution [px of disparity there]."""
-    margins: tuple[int, ...] = (4, 6)
+    margins: tuple[int, ...] = (3, 5)
     """Planes searched below and above the next coarser result, at full and half resolution."""
     widest: int = 40
     """At most so many planes are searched at a pixel next to a depth edge."""
-    gamma_tone: float = 12.0
+    gamma_tone: float = 10.0
     """Grey difference at which a neighbour's weight in a matching window falls to 1/e."""
     gamma_space: float = 2.0
     """Distance at which a neighbour's weight in a matching window falls to 1/e [px]."""
