@@ -60,7 +60,7 @@ class StageCache:
         self.hits.append(stage)
         return result
 
-    def store(self, stage: str, key: str, write: Callable[[Path], None], *, keep: int | None = _KEEP) -> Path:
+    def store(self, stage: str, key: str, write: Callable[[Path], object], *, keep: int | None = _KEEP) -> Path:
         """Let ``write`` fill a fresh folder and make it the entry; older entries of the stage beyond ``keep`` go.
 
         Raises:

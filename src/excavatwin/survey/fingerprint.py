@@ -78,7 +78,7 @@ def of_array(array: np.ndarray) -> str:
 
 
 def of_code(*modules: str) -> str:
-    """Digest of the source of packages: a changed algorithm must not answer from an old cache.
+    """Digest of the source in the folders of modules: a changed algorithm must not answer from an old cache.
 
     The version alone would do for releases; this holds for everyone who works on the code as well.
     """
@@ -87,8 +87,7 @@ def of_code(*modules: str) -> str:
         spec = importlib.util.find_spec(module)
         if spec is None or spec.origin is None:
             continue  # a stage given from outside the package; its parameters still count
-        origin = Path(spec.origin)
-        for path in sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]:
+        for path in sorted(Path(spec.origin).parent.rglob("*.py")):
             digest.update(path.name.encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()

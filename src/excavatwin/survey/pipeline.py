@@ -198,7 +198,8 @@ def _observe(
     model = plan.photogrammetry
     code = fingerprint.of_code("excavatwin.capture", type(model).__module__)
     inputs = [excavatwin.__version__, code, [(photo.name, hashes[photo.name]) for photo in photos]]
-    place_key, dense_key = fingerprint.key(inputs, model.placing), fingerprint.key(inputs, model)
+    loops = fingerprint.of_code("excavatwin.kernels")
+    place_key, dense_key = fingerprint.key(inputs, model.placing), fingerprint.key(inputs, model, loops)
     obs = cache.load("densify", dense_key, records.read_observations)
     with journal.stage("place") as row:
         placement = None if obs else cache.load("place", place_key, model.load_placement)
@@ -269,7 +270,6 @@ def _fuse(
     from excavatwin.export import write_site
 
     with journal.stage("fuse"):
-        progress("fuse", 0, 1)
         site = plan.mapper(obs, progress)
     journal.note(*obs.doubts, *site.map.doubts)
     photos = {

@@ -1,0 +1,98 @@
+"""The command line: which commands there are. Their code is imported when one is called."""
+
+from __future__ import annotations
+
+from cyclopts import App
+
+import excavatwin
+
+# At most 79 columns, so that no terminal wraps what people copy.
+EXAMPLES = """\
+Examples:
+  excavatwin map photos/ -o site               # photos -> map
+  excavatwin map flight.mp4 -o site            # video -> map
+  excavatwin fuse observations.npz -o site     # your own models' points -> map
+  excavatwin config > settings.toml            # every parameter, with meaning
+  excavatwin layers                            # what is in a map
+  excavatwin doctor --photos 75                # what is installed, memory need
+
+Add --debug to see where an error comes from."""
+
+MAP = """\
+Map a folder of photos (JPEG, PNG, TIFF) or a video.
+
+Finished stages are kept beside the results: run again with another parameter
+and only what depends on it is computed again; after an interruption the same
+command resumes."""
+
+MAP_EXAMPLES = """\
+Every parameter of every stage is a flag, too: `excavatwin config` lists them.
+
+Examples:
+  excavatwin map photos/ -o site
+  excavatwin map flight.mp4 -o site
+  # another fusion parameter: seconds, the photos are not touched again
+  excavatwin map photos/ -o site --mapper.decision.tau 0.5
+  # a known length of 4.2 m between two pixels of a photo
+  excavatwin map photos/ -o site --reference "IMG_9.JPG:1200,840:1510,861=4.2"
+  # all parameters in a file
+  excavatwin config > settings.toml
+  excavatwin map photos/ -o site --config settings.toml"""
+
+FUSE = """\
+Fuse points and classes that your own models made.
+
+An observations file (.npz) holds points (S,H,W,3) with NaN for none,
+confidence (S,H,W), evidence (S,H,W,5) or labels (S,H,W), T_world_cam (S,4,4)
+camera-to-world with OpenCV axes, and K (S,3,3). Views of different sizes come
+as a folder with one .npz each and a views.json. No image is touched."""
+
+FUSE_EXAMPLES = """\
+Every parameter of the mapper is a flag, too: `excavatwin config` lists them.
+
+Examples:
+  excavatwin fuse observations.npz -o site
+  excavatwin fuse observations.npz -o site --mapper.decision.tau 0.5"""
+
+CONFIG = "Every parameter of every stage with its meaning, as TOML that --config takes."
+
+CONFIG_EXAMPLES = """\
+Examples:
+  excavatwin config > settings.toml
+  excavatwin config --mapper.decision.tau 0.5 > settings.toml
+  excavatwin map photos/ -o site --config settings.toml"""
+
+DOCTOR = "What is installed, what each backbone needs, and the memory for N photos."
+
+DOCTOR_EXAMPLES = """\
+Examples:
+  excavatwin doctor
+  excavatwin doctor --photos 75 --lattice 640"""
+
+DEMO = "Map the photos that ship with the project and compare with the known truth."
+
+DEMO_EXAMPLES = """\
+Examples:
+  excavatwin demo -o demo_output"""
+
+app = App(
+    name="excavatwin",
+    help="Photos of an earthworks site in, metric semantic elevation map out: no LiDAR, no training, no GPU needed.",
+    help_format="plaintext",
+    help_epilogue=EXAMPLES,
+    version=f"excavatwin {excavatwin.__version__}",
+    exit_on_error=False,
+    print_error=False,
+)
+
+
+def _register(place: str, name: str, help: str, epilogue: str = "") -> None:
+    app.command(f"excavatwin.cli.{place}", name=name, help=help, help_epilogue=epilogue, sort_key=len(list(app)))
+
+
+_register("mapping:map_command", "map", MAP, MAP_EXAMPLES)
+_register("mapping:fuse_command", "fuse", FUSE, FUSE_EXAMPLES)
+_register("reference_pages:layers_command", "layers", "What is in a map: layers, classes, reasons, with their ids.")
+_register("reference_pages:config_command", "config", CONFIG, CONFIG_EXAMPLES)
+_register("doctor:doctor_command", "doctor", DOCTOR, DOCTOR_EXAMPLES)
+_register("demo:demo_command", "demo", DEMO, DEMO_EXAMPLES)
