@@ -4,27 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64, UInt8
+from jaxtyping import Float64
+
+from excavatwin.kernels import ray_casting, ray_shading
+from excavatwin.kernels.ray_casting import BodyArrays
 
 
 class Kind(IntEnum):
     """Unit shapes; all fill [-1, 1]^3 and round ones have their axis along local z."""
 
-    BOX = 0
-    CYLINDER = 1
-    TUBE = 2  #: cylinder with a bore of ``TUBE_BORE`` of its radius
-    CONE = 3  #: radius 1 at local z = -1, 0 at +1
-    ELLIPSOID = 4
-
-
-TUBE_BORE = 0.82
+    BOX = ray_casting.BOX
+    CYLINDER = ray_casting.CYLINDER
+    TUBE = ray_casting.TUBE  #: cylinder with a bore of ``ray_casting.TUBE_BORE`` of its radius
+    CONE = ray_casting.CONE  #: radius 1 at local z = -1, 0 at +1
+    ELLIPSOID = ray_casting.ELLIPSOID
 
 
 class Material(IntEnum):
-    """What a body looks like; the ground's materials are fields of the terrain."""
+    """What a body looks like, in the order of ``ALBEDO``; the ground's materials are fields of the terrain."""
 
     YELLOW_PAINT = 0
     DARK_STEEL = 1
@@ -37,6 +36,30 @@ class Material(IntEnum):
     GRASS = 8
     BARK = 9
     BLUE_PAINT = 10
+
+
+ALBEDO = np.array(
+    [
+        (0.72, 0.42, 0.02),
+        (0.055, 0.052, 0.05),
+        (0.045, 0.06, 0.07),
+        (0.40, 0.39, 0.37),
+        (0.66, 0.66, 0.65),
+        (0.75, 0.17, 0.03),
+        (0.30, 0.225, 0.15),
+        (0.055, 0.105, 0.025),
+        (0.17, 0.22, 0.06),
+        (0.10, 0.07, 0.05),
+        (0.05, 0.13, 0.33),
+    ]
+)
+"""Linear reflectance of each material red green blue."""
+FINISH = {
+    Material.LEAVES: ray_shading.FOLIAGE,
+    Material.GRASS: ray_shading.FOLIAGE,
+    Material.GLASS: ray_shading.GLASS,
+}
+"""Surfaces that are not painted."""
 
 
 @dataclass(frozen=True)
@@ -74,26 +97,6 @@ class Body:
         return self.centre + (local * self.half) @ self.axes.T
 
 
-class BodyArrays(NamedTuple):
-    """Bodies with a bounding-volume hierarchy, as arrays for the ray caster."""
-
-    centre: Float64[np.ndarray, "n 3"]
-    axes: Float64[np.ndarray, "n 3 3"]
-    half: Float64[np.ndarray, "n 3"]
-    kind: Int64[np.ndarray, "n"]
-    material: Int64[np.ndarray, "n"]
-    porosity: Float64[np.ndarray, "n"]
-    label: UInt8[np.ndarray, "n"]
-    instance: Int32[np.ndarray, "n"]
-    low: Float64[np.ndarray, "m 3"]
-    """Boxes of the tree's nodes, in depth-first order."""
-    high: Float64[np.ndarray, "m 3"]
-    skip: Int64[np.ndarray, "m"]
-    """The node to go on with when the box is missed: no stack needed."""
-    leaf: Int64[np.ndarray, "m"]
-    """Index of the node's body, -1 for inner nodes."""
-
-
 def body_arrays(bodies: list[Body], labels: list[int], instances: list[int]) -> BodyArrays:
     """Pack bodies with their class and object ids, and build the tree by halving along the longest axis."""
     n = len(bodies)
@@ -126,7 +129,8 @@ def body_arrays(bodies: list[Body], labels: list[int], instances: list[int]) -> 
         axes,
         half,
         np.array([body.kind for body in bodies], np.int64),
-        np.array([body.material for body in bodies], np.int64),
+        ALBEDO[[int(body.material) for body in bodies]].reshape(n, 3),
+        np.array([FINISH.get(body.material, ray_shading.PAINT) for body in bodies], np.int64),
         np.array([body.porosity for body in bodies], float),
         np.array(labels, np.uint8),
         np.array(instances, np.int32),

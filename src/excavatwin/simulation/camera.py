@@ -51,7 +51,7 @@ def orbit(
     height: float = 18.0,
     width: int = 1280,
     aspect: float = 0.75,
-    focal_ratio: float = 28 / 36,
+    focal_ratio: float = 0.78,
     jitter: float = 1.0,
     seed: int = 7,
 ) -> tuple[Camera, ...]:
@@ -60,7 +60,7 @@ def orbit(
     Args:
         radius: horizontal distance from the centre [m].
         height: above z = 0 [m].
-        focal_ratio: focal length over image width; the default is a lens of 28 mm on 36 mm film.
+        focal_ratio: focal length over image width.
         jitter: scale of the drone's deviations (0.6 m in position, 0.8 m in the point it looks at, 1 degree of roll).
     """
     rng = np.random.default_rng(seed)

@@ -19,8 +19,10 @@ from excavatwin.simulation.truth import save_truth, site_truth
 
 PLACE = Georeference(32632, (691000.0, 5334000.0, 520.0), 0.0)
 """Where the made-up site lies; altitudes are above the ellipsoid."""
-FILM = 28
-"""Focal length on 36 mm film: an integer, as EXIF wants it, and the true one [mm]."""
+FILM = 27
+"""Equivalent focal length on a frame of 36 mm x 24 mm: an integer, as EXIF wants it, and the true one [mm]."""
+FOCAL_RATIO = FILM / np.hypot(36, 24) * 1.25
+"""True focal length over image width: CIPA DCG-001 relates the diagonals, and that of a 4:3 image is 1.25 widths."""
 SENSOR = 6.4
 """Width of the sensor [mm]."""
 SIGMA = (0.02, 0.03)
@@ -38,13 +40,12 @@ def render_sample(out: Path, seed: int = 7, views: int = 14, width: int = 1280, 
         width: of the photos [px].
     """
     site = DigSite(seed=seed)
-    cameras = orbit(views, width=width, focal_ratio=FILM / 36, seed=seed)
+    cameras = orbit(views, width=width, focal_ratio=FOCAL_RATIO, seed=seed)
     names = [f"DIG_{number:04d}.jpg" for number in range(1, views + 1)]
     (out / "photos").mkdir(parents=True, exist_ok=True)
-    rng = np.random.default_rng(seed)
     for number, (name, camera) in enumerate(zip(names, cameras, strict=True)):
         image = render_view(site, camera).image
-        error = rng.normal(size=3) * np.array([SIGMA[0], SIGMA[0], SIGMA[1]])
+        error = np.random.default_rng((seed, number)).normal(size=3) * np.array([SIGMA[0], SIGMA[0], SIGMA[1]])
         write_photo(out / "photos" / name, image, camera, error, START + timedelta(seconds=5 * number))
         progress("render", number + 1, views)
     save_truth(site_truth(site, list(zip(names, cameras, strict=True)), georeference=PLACE), out / "truth.npz")
@@ -68,7 +69,7 @@ def write_photo(
     exif[0x010F], exif[0x0110], exif[0x0132] = "ExcavaTwin", "sample camera", f"{time:%Y:%m:%d %H:%M:%S}"
     detail = exif.get_ifd(0x8769)
     detail[0x9003] = f"{time:%Y:%m:%d %H:%M:%S}"
-    detail[0x920A] = rational(FILM / 36 * SENSOR, 10000)
+    detail[0x920A] = rational(FOCAL_RATIO * SENSOR, 10000)
     detail[0xA405] = FILM
     detail[0xA002], detail[0xA003] = camera.width, camera.height
     gps = exif.get_ifd(0x8825)

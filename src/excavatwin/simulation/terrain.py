@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Float, Float32, Float64, UInt8
 
-from excavatwin.simulation.noise import noise_raster
+from excavatwin.kernels.noise import noise_raster
+from excavatwin.scene.taxonomy import TaskClass
 
 
 @dataclass(frozen=True)
@@ -24,10 +26,12 @@ class Ground:
     materials: Float32[np.ndarray, "Y X 3"]
     """Signed distance-like depth inside bare soil, freshly dug soil and gravel: positive inside [m]."""
 
-    @property
-    def diggable(self) -> np.ndarray:
-        """Vertices of construction terrain (soil, dug soil, gravel); the rest is meadow."""
-        return np.any(self.materials > 0, axis=-1)
+    @cached_property
+    def label(self) -> UInt8[np.ndarray, "Y X"]:
+        """Task class of each vertex: bare and dug soil are construction terrain; meadow and gravel track are not."""
+        soil, dug, gravel = np.moveaxis(self.materials > 0, -1, 0)
+        diggable = dug | (soil & ~gravel)
+        return np.where(diggable, TaskClass.CONSTRUCTION_TERRAIN, TaskClass.OTHER_TERRAIN).astype(np.uint8)
 
 
 @dataclass(frozen=True)

@@ -6,42 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numba import njit, prange
 
+from excavatwin.kernels.ray_tracing import rasters
 from excavatwin.scene.grid import Grid
 from excavatwin.scene.observations import Georeference
 from excavatwin.scene.truth import Truth, ViewTruth
 from excavatwin.simulation.camera import Camera
-from excavatwin.simulation.rays import height_at
-from excavatwin.simulation.render import geometry, ground_class, meet, render_view
+from excavatwin.simulation.render import geometry, render_view
 from excavatwin.simulation.site import DigSite, contents
-
-ABOVE = 50.0
-"""Height that the site is looked at from, for its truth from above [m]."""
-
-
-@njit(cache=True)
-def look_down(ground, bodies, materials, x, y, row, height, surface, label, instance):
-    """Fill one row of the four rasters with what vertical rays meet."""
-    o, d = np.empty(3), np.array([0.0, 0.0, -1.0])
-    for col in range(x.size):
-        o[0], o[1], o[2] = x[col], y[row], ABOVE
-        height[row, col] = height_at(ground, x[col], y[row])
-        t, index = meet(ground, bodies, o, d, 4 * ABOVE)
-        surface[row, col] = ABOVE - t
-        label[row, col] = ground_class(ground, materials, x[col], y[row]) if index < 0 else bodies.label[index]
-        instance[row, col] = 0 if index < 0 else bodies.instance[index]
-
-
-@njit(cache=True, parallel=True)
-def rasters(ground, bodies, materials, x, y):
-    """Bare terrain, surface [m], class and object id at the places (y, x)."""
-    shape = (y.size, x.size)
-    height, surface = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    label, instance = np.empty(shape, np.uint8), np.empty(shape, np.uint8)
-    for row in prange(y.size):
-        look_down(ground, bodies, materials, x, y, row, height, surface, label, instance)
-    return height, surface, label, instance
 
 
 def site_truth(
@@ -60,7 +32,7 @@ def site_truth(
     grid = Grid(-site.extent / 2, site.extent / 2, cell, count, count)
     ground, bodies = geometry(site)
     inside = contents(site)
-    height, surface, label, instance = rasters(ground, bodies, inside.ground.materials, grid.x, grid.y)
+    height, surface, label, instance = rasters(ground, bodies, inside.ground.label, grid.x, grid.y)
     views = tuple(
         ViewTruth(
             name,

@@ -6,27 +6,11 @@ import numpy as np
 from jaxtyping import Float64
 from numba import njit, prange
 
-from excavatwin.simulation.bodies import Material
-from excavatwin.simulation.noise import hash_unit, noise3, octaves
-from excavatwin.simulation.rays import blocked
+from excavatwin.kernels.noise import hash_unit, noise3, octaves
+from excavatwin.kernels.ray_casting import blocked
 
-ALBEDO = np.array(
-    [
-        (0.72, 0.42, 0.02),
-        (0.055, 0.052, 0.05),
-        (0.045, 0.06, 0.07),
-        (0.40, 0.39, 0.37),
-        (0.66, 0.66, 0.65),
-        (0.75, 0.17, 0.03),
-        (0.36, 0.23, 0.11),
-        (0.055, 0.105, 0.025),
-        (0.13, 0.16, 0.045),
-        (0.10, 0.07, 0.05),
-        (0.05, 0.13, 0.33),
-    ]
-)
-"""Linear reflectance of each material (rows in the order of ``Material``), red green blue."""
-GLASS, LEAVES, GRASS = int(Material.GLASS), int(Material.LEAVES), int(Material.GRASS)
+PAINT, FOLIAGE, GLASS = 0, 1, 2
+"""How a body's surface answers light."""
 SUN = np.array([1.0, 0.95, 0.86])
 SKY = np.array([0.30, 0.34, 0.41])
 """Irradiance of the sun and of the whole sky, relative."""
@@ -64,15 +48,16 @@ def ground_albedo(x, y, z, soil, dug, gravel, footprint, seed, out):
 
 
 @njit(cache=True)
-def body_albedo(material, x, y, z, index, footprint, out):
+def body_albedo(albedo, finish, x, y, z, index, footprint, out):
     """Reflectance of a body: paint with dirt on it, mottled leaves, stained concrete."""
     fine = octaves(x, y, z, 0.35, 2.0, 0.8, 5, footprint, 1000 + index)
-    shade = 1 + (0.42 if material in (LEAVES, GRASS) else 0.10) * fine
+    shade = 1 + (0.42 if finish == FOLIAGE else 0.15) * fine
     shade *= 0.85 + 0.3 * hash_unit(index, 3, 5, 11)
     for k in range(3):
-        out[k] = ALBEDO[material, k] * max(shade, 0.2)
-    dirt = step(0.25, 0.9, octaves(x, y, z, 0.5, 2.1, 0.8, 5, footprint, 77))
-    if material != LEAVES and material != GRASS:
+        out[k] = albedo[k] * max(shade, 0.2)
+    mud = 0.5 * fine + octaves(x, y, z, 0.5, 2.1, 0.8, 5, footprint, 77)
+    dirt = step(0.1 if finish == GLASS else 0.25, 1.0, mud)
+    if finish != FOLIAGE:
         for k in range(3):
             out[k] += 0.45 * dirt * ((0.20, 0.15, 0.10)[k] - out[k])
 
