@@ -132,8 +132,12 @@ def _each(
     todo = list(items)
     results: list[Result] = []
     progress(stage, 0, len(todo))
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    pool = ThreadPoolExecutor(threads or usable)
+    try:
         for result in pool.map(work, todo):
             results.append(result)
             progress(stage, len(results), len(todo))
+    finally:  # when interrupted, do not finish what nobody waits for
+        pool.shutdown(wait=True, cancel_futures=True)
     return results
