@@ -7,13 +7,10 @@ from jaxtyping import Bool, Float32, Int32
 
 from excavatwin.paper import equation
 
-#: Half of the 8-neighbourhood: every pair of adjacent cells once, as (row step, column step).
-_PAIRS = ((0, 1), (1, -1), (1, 0), (1, 1))
-
 
 def progressive_filter(
-    H: Float32[np.ndarray, "Y X"], cell: float, window: float, step: float, slope: float
-) -> Bool[np.ndarray, "Y X"]:
+    H: Float32[np.ndarray, "Y X"], cell: float, window: float, step: float, slope: float, smear: int
+) -> tuple[Bool[np.ndarray, "Y X"], Float32[np.ndarray, "Y X"]]:
     """Cells that stand off the ground, by openings with a window that grows cell by cell (after Zhang et al., 2003).
 
     Each opening lowers a ridge of inclination ``slope`` by about slope times half the growth of the window (sqrt(2)
@@ -27,17 +24,22 @@ def progressive_filter(
         window: width of the widest body that must be removed [m].
         step: height that is noise [m].
         slope: steepest inclination of terrain that stands up (tangent).
+        smear: width of a step in the reference surface [cells]: a body may fall over that many openings.
+
+    Returns:
+        (raised cells, what the last opening left).
     """
     from excavatwin.kernels.morphology import opening
 
     raised = np.zeros(H.shape, bool)
-    surface = H
+    surfaces = [H]
     for radius in range(1, max(1, int(np.ceil(window / cell / 2))) + 1):
-        opened = opening(surface, radius)
-        with np.errstate(invalid="ignore"):
-            raised |= surface - opened > step + slope * np.sqrt(2) * cell
-        surface = opened
-    return raised
+        opened = opening(surfaces[-1], radius)
+        for lag in {1, min(smear, len(surfaces))}:
+            with np.errstate(invalid="ignore"):
+                raised |= surfaces[-lag] - opened > step + slope * np.sqrt(2) * lag * cell
+        surfaces = [*surfaces, opened][-smear:]
+    return raised, surfaces[-1]
 
 
 @equation("eq:gc_continuity")
@@ -62,31 +64,37 @@ def continuity_regions(
     return continuous_cells(H, member & np.isfinite(H), delta_h * L, delta_s, d)
 
 
-def boundary_steps(
-    H: Float32[np.ndarray, "Y X"], region: Int32[np.ndarray, "Y X"], tolerance: float, slope: float, cell: float
-) -> tuple[Float32[np.ndarray, "R"], Float32[np.ndarray, "R"]]:
-    """How every region (ids from 0, -1 = outside all) meets the observed cells around it.
+def steep_rims(
+    H: Float32[np.ndarray, "Y X"], blob: Int32[np.ndarray, "Y X"], reach: int, allowed: float
+) -> Float32[np.ndarray, "R"]:
+    """Share of every blob's rim (ids from 0, -1 = outside all) that drops by more than ``allowed`` within ``reach``
+    cells outside all blobs. Stereo smears a sharp step over two or three cells, so neighbours alone do not tell."""
+    from excavatwin.kernels.morphology import disc_drop, windowed_extreme
 
-    Returns:
-        (share of adjacent pairs across its boundary where it stands higher by more than ``tolerance + slope * d``;
-        share where it passes continuously). Zero for a region without observed surroundings.
+    n = int(blob.max(initial=-1)) + 1
+    around = np.isfinite(H) & (blob < 0)
+    facing = windowed_extreme(around.astype(np.float32), 1, True) > 0  # rims at the edge of the map tell nothing
+    rim = (blob >= 0) & facing
+    steep = rim & (disc_drop(H, around, reach) > allowed)
+    rims = np.bincount(blob[rim], minlength=n)
+    return (np.bincount(blob[steep], minlength=n) / np.maximum(rims, 1)).astype(np.float32)
+
+
+def raised_rims(
+    H: Float32[np.ndarray, "Y X"], region: Int32[np.ndarray, "Y X"], reach: int, step: float
+) -> Float32[np.ndarray, "R"]:
+    """Of the rim of every region (ids from 0) that faces another region across a step, the share that looks down.
+
+    1 for the top of a body, 0 for the floor of a pit, about one half for a terrace. Rims without a step do not count.
     """
+    from excavatwin.kernels.morphology import step_across
+
     n = int(region.max(initial=-1)) + 1
-    up, level, pairs = np.zeros(n), np.zeros(n), np.zeros(n)
-    rows, cols = H.shape
-    for dy, dx in _PAIRS:
-        a = (slice(0, rows - dy), slice(max(0, -dx), cols - max(0, dx)))
-        b = (slice(dy, rows), slice(max(0, dx), cols - max(0, -dx)))
-        allowed = tolerance + slope * cell * np.hypot(dy, dx)
-        for own, other in ((a, b), (b, a)):
-            r = region[own]
-            across = (r >= 0) & (r != region[other]) & np.isfinite(H[own]) & np.isfinite(H[other])
-            difference = (H[own] - H[other])[across]
-            pairs += np.bincount(r[across], minlength=n)
-            up += np.bincount(r[across], weights=difference > allowed, minlength=n)
-            level += np.bincount(r[across], weights=np.abs(difference) <= allowed, minlength=n)
-    some = np.maximum(pairs, 1)
-    return (up / some).astype(np.float32), (level / some).astype(np.float32)
+    across = step_across(H, region, reach)
+    with np.errstate(invalid="ignore"):
+        up, down = across > step, across < -step
+    ups, downs = np.bincount(region[up], minlength=n), np.bincount(region[down], minlength=n)
+    return (ups / np.maximum(ups + downs, 1)).astype(np.float32)
 
 
 def bridge_gaps(H: Float32[np.ndarray, "Y X"], gap: float) -> Float32[np.ndarray, "Y X"]:

@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
 from excavatwin.geometry.envelope import (
-    boundary_steps,
     bridge_gaps,
     continuity_regions,
     fill_ground,
     progressive_filter,
+    raised_rims,
+    steep_rims,
 )
 from excavatwin.scene.grid import Grid
 from excavatwin.scene.support import LocalGeometry, Terrain
@@ -25,25 +26,32 @@ class TerrainEnvelope:
 
     percentile: float = 0.10
     """Height quantile of a cell's view samples that is its reference elevation: low, but never the minimum."""
-    window: float = 8.0
+    window: float = 12.0
     """Widest body that must not be taken for ground [m]; with unknown scale, ``window_share`` of the scene."""
-    window_share: float = 0.12
+    window_share: float = 0.2
     """The same as a share of the scene's extent, used while the scale is unknown."""
-    step: float = 1.0
+    step: float = 0.4
     """Height that is noise [voxels]."""
-    slope: float = 0.9
-    """Steepest inclination of terrain that stands up, as a tangent (42 degrees: above any angle of repose)."""
+    slope: float = 0.8
+    """Steepest inclination of terrain that stands up, as a tangent (39 degrees: above the angle of repose of soil)."""
     delta_h: float = 0.6
     """delta_h of eq:gc_continuity, in units of L = one voxel."""
     delta_s: float = 1.0
     """delta_s of eq:gc_continuity (tangent)."""
-    gentle: float = 0.4
-    """A raised region that meets its surroundings continuously on this share of its boundary is terrain: the crest of
-    a heap, or ground between a pit and the edge of the map."""
+    smear: int = 3
+    """Width over which stereo may smear a sharp step [cells]."""
+    lift: float = 3.0
+    """A body is all that stands this far above the last opening, around what the filter lowered [voxels]."""
+    body: float = 0.7
+    """A raised patch whose rim drops steeply on at least this share of its length is a body standing on the ground;
+    otherwise it is ground: the crest of a heap, a berm, ground between a pit and the edge of the map."""
     island: float = 0.6
-    """A terrain region that stands above its surroundings on this share of its boundary is an object."""
+    """A region behind steep faces is the top of a body when at least this share of its steps leads down."""
     gap: float = 2.0
     """Gaps between observed cells up to twice this wide are bridged [cells]."""
+    rise: float = 0.5
+    """A steep face belongs to the terrain from which it can be reached without rising more than this a cell [voxels]:
+    the rim of a pit does, the side of a body does not."""
     min_region: float = 3.0
     """Smallest terrain region, as the edge of a square [voxels]; smaller ones are discarded."""
 
@@ -54,36 +62,65 @@ class TerrainEnvelope:
         extent = np.sqrt(np.isfinite(reference).sum()) * voxels.size
         window = self.window if metric else self.window_share * extent
         bridged = bridge_gaps(reference, self.gap)
-        candidate = np.isfinite(bridged) & ~self.raised(bridged, voxels.size, window)
-        region = self.regions(bridged, candidate, voxels.size, window) * np.isfinite(reference)
-        return self.support(voxels, local, grid, cell, reference, region)
+        region = self.regions(bridged, ~self.raised(bridged, voxels.size, window), voxels.size, window)
+        return self.support(voxels, local, grid, cell, reference, region * np.isfinite(reference))
 
-    def raised(self, reference: Float32[np.ndarray, "Y X"], size: float, window: float) -> Bool[np.ndarray, "Y X"]:
-        """Cells that stand off the ground and are set off from it by steps, not the crests of heaps."""
+    def allowed_drop(self, size: float, reach: int) -> float:
+        """Height by which terrain that stands up may fall within ``reach`` cells [m]."""
+        return size * (self.step + self.slope * reach)
+
+    def faces(self, H: Float32[np.ndarray, "Y X"], size: float) -> Bool[np.ndarray, "Y X"]:
+        """Cells at the upper side of a drop that is too steep for terrain that stands up, sharp or smeared; breaks of
+        up to four cells in a line of them are sealed."""
+        from scipy.ndimage import binary_closing
+
+        from excavatwin.kernels.morphology import disc_drop
+
+        seen = np.isfinite(H)
+        steep = np.zeros(H.shape, bool)
+        for reach in range(1, self.smear + 1):
+            steep |= disc_drop(H, seen, reach) > self.allowed_drop(size, reach)
+        sealed = binary_closing(np.pad(steep, 4), np.ones((3, 3)), iterations=2)[4:-4, 4:-4]
+        return sealed & seen
+
+    def raised(self, H: Float32[np.ndarray, "Y X"], size: float, window: float) -> Bool[np.ndarray, "Y X"]:
+        """Cells of bodies that stand on the ground: what the progressive filter lowers, patch by patch, and the whole
+        of what stands above its last opening there."""
         from scipy.ndimage import label
 
-        raised = progressive_filter(reference, size, window, self.step * size, self.slope)
-        blobs = label(raised, structure=np.ones((3, 3)))[0].astype(np.int32) - 1
-        _, level = boundary_steps(reference, blobs, self.delta_h * size, self.delta_s, size)
-        return raised & ~np.append(level >= self.gentle, False)[blobs]
+        lowered, opened = progressive_filter(H, size, window, self.step * size, self.slope, self.smear)
+        with np.errstate(invalid="ignore"):
+            above = lowered | (H - opened > self.lift * size)
+        bodies = np.zeros(H.shape, bool)
+        for patches in (lowered, above):
+            blob = label(patches, structure=np.ones((3, 3)))[0].astype(np.int32) - 1
+            steep = steep_rims(H, blob, self.smear, self.allowed_drop(size, self.smear))
+            found = np.bincount(blob[lowered & patches], minlength=len(steep)) > 0
+            bodies |= np.append((steep >= self.body) & found, False)[blob]
+        return bodies
 
     def regions(
-        self, reference: Float32[np.ndarray, "Y X"], candidate: Bool[np.ndarray, "Y X"], size: float, window: float
+        self, H: Float32[np.ndarray, "Y X"], candidate: Bool[np.ndarray, "Y X"], size: float, window: float
     ) -> Int32[np.ndarray, "Y X"]:
-        """Continuous terrain regions, 1 = largest; small ones and islands above their surroundings discarded."""
-        region = continuity_regions(reference, candidate, self.delta_h, size, self.delta_s, size)
+        """Continuous terrain regions, 1 = largest. Steep faces part them; tops of bodies and small ones are discarded;
+        the faces then go to the terrain that they do not rise from."""
+        from excavatwin.kernels.morphology import grow_without_rising
+
+        candidate = candidate & np.isfinite(H)
+        face = self.faces(H, size)
+        region = continuity_regions(H, candidate & ~face, self.delta_h, size, self.delta_s, size)
         n = int(region.max(initial=-1)) + 1
         if n == 0:
             return np.zeros(region.shape, np.int32)
         cells = np.bincount(region[region >= 0], minlength=n)
-        up, _ = boundary_steps(reference, region, self.delta_h * size, self.delta_s, size)
-        body = cells <= (2 * window / size) ** 2  # a larger island is a plateau
-        keep = (cells >= self.min_region**2) & ~(body & (up >= self.island))
+        up = raised_rims(H, region, 3 * self.smear, self.allowed_drop(size, self.smear) / 2)
+        compact = cells <= (2 * window / size) ** 2  # a larger region behind faces is a plateau
+        keep = (cells >= self.min_region**2) & ~(compact & (up >= self.island))
         keep[np.argmax(cells)] = True
         order = np.argsort(-cells, kind="stable")
         number = np.zeros(n + 1, np.int32)  # the last entry serves region -1
         number[order[keep[order]]] = np.arange(1, keep.sum() + 1)
-        return number[region]
+        return grow_without_rising(H, number[region], candidate & face, self.rise * size)
 
     def support(
         self,
