@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float64
 
+from excavatwin.errors import InputError
 from excavatwin.scene.elevation_map import MapObject
 from excavatwin.scene.taxonomy import TaskClass
 from excavatwin.simulation import models
@@ -89,7 +90,17 @@ class Contents:
 
 @lru_cache(maxsize=2)
 def contents(site: DigSite) -> Contents:
-    """Build the terrain and put everything on it."""
+    """Build the terrain and put everything on it.
+
+    Raises:
+        InputError: something is to stand outside the modelled terrain.
+    """
+    for place in site.placements:
+        if max(abs(place.x), abs(place.y)) > site.extent / 2:
+            raise InputError(
+                f"The {place.name} is to stand at ({place.x:g}, {place.y:g}) m, outside the site of {site.extent:g} m; "
+                "move it, or make the site larger."
+            )
     pads = tuple(Pad(p.x, p.y, p.pad) for p in site.placements)
     ground = site.earthworks.ground(site.half, site.cell, pads, site.seed)
     bodies: list[Body] = []
