@@ -15,7 +15,7 @@ from excavatwin.backbones.photogrammetry.features import Features, extract
 from excavatwin.backbones.photogrammetry.matching import Pair, choose_pairs, match_pairs
 from excavatwin.backbones.photogrammetry.placement import PlacedCamera, Placement, SparsePoints
 from excavatwin.backbones.photogrammetry.placing import Placing
-from excavatwin.errors import InputError, ReconstructionError
+from excavatwin.errors import InputError, OutputError, ReconstructionError
 from excavatwin.scene.frames import invert_rigid
 from excavatwin.scene.observations import Unplaced
 from excavatwin.scene.photo import Photo
@@ -54,7 +54,8 @@ def structure_from_motion(photos: Sequence[Photo], settings: Placing, progress: 
         if calibration.focal_refined and abs(calibration.change) > 0.01:
             # tracks were built with the wrong lens: build them again with the right one
             for camera in cameras.values():
-                camera.focal_length = adjusted.camera(camera.camera_id).focal_length
+                if adjusted.exists_camera(camera.camera_id):  # else all photos of this lens are outside the block
+                    camera.focal_length = adjusted.camera(camera.camera_id).focal_length
             again = _map(features, of_photo, verified, settings, progress)
             if again and max(model.num_reg_images() for model in again) >= block.num_reg_images():
                 blocks, block = again, _largest(again, len(features), verified)
@@ -109,7 +110,13 @@ def _map(
     progress("mapping", 0, len(features))
     with tempfile.TemporaryDirectory(prefix="excavatwin-") as folder:
         database = Path(folder) / "features.db"
-        _write_database(database, features, cameras, verified)
+        try:
+            _write_database(database, features, cameras, verified)
+        except RuntimeError as error:  # of SQLite, which has but one word for it
+            raise OutputError(
+                f"The temporary folder {Path(folder).parent} cannot be written: the disk is full or read-only; "
+                "free some space, or set TMPDIR to another folder."
+            ) from error
         models = pycolmap.incremental_mapping(
             database, folder, folder, options, "", lambda: advance(2), lambda: advance(1)
         )
