@@ -3,10 +3,10 @@
     python benchmarks/dense_stereo.py [--width 640] [--views 12] [--runs 3]
 
 Each flight is rendered once and matched ``runs`` times on one thread after a warm-up that compiles the kernels; times
-are medians over the runs, of processor seconds per photo. Errors are of height, in ground sampling distances (GSD: depth
-over focal length) of the pixel. "edge" is the median in the zone within 4 px of a depth edge of the truth, where windows
-blur; "halo" is the share of that zone that is wrong by more than 8 GSD. "sky" is the share of the pixels without any
-surface that got a depth.
+are medians over the runs, of processor seconds per photo. Errors are of height, in ground sampling distances (GSD:
+depth over focal length) of the pixel. "edge" is the median in the zone within 4 px of a depth edge of the truth, where
+windows blur; "halo" is the share of that zone that is wrong by more than 8 GSD. "sky" is the share of the pixels
+without any surface that got a depth.
 """
 
 from __future__ import annotations
