@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32
 
 from excavatwin.errors import InputError
 from excavatwin.scene.points import Points
@@ -35,8 +34,11 @@ class Voxelize:
         """
         from excavatwin.kernels.voxel_hash import group_by_view, group_keys, group_means, pack
 
-        footprint = pixel_footprint(points)
-        size = self.size if self.size is not None else nice_size(self.footprints * float(np.median(footprint)), metric)
+        size = (
+            self.size
+            if self.size is not None
+            else nice_size(self.footprints * float(np.median(points.footprint)), metric)
+        )
         if not size > 0:
             raise InputError(f"the voxel size is {size}; expected a positive length in metres.")
         index = np.floor(points.xyz / np.float32(size)).astype(np.int64)
@@ -52,7 +54,7 @@ class Voxelize:
         xyz = group_means(points.xyz, sample, M)
         centre = group_means(xyz, voxel, J)
         finest = np.full(J, np.inf, np.float32)
-        np.minimum.at(finest, of_point, footprint)
+        np.minimum.at(finest, of_point, points.footprint)
         neighbours, distances = nearest_neighbours(centre, self.k, size)
         return Voxels(
             size=size, centre=centre, of_point=of_point, voxel=voxel, view=view, xyz=xyz,
@@ -61,12 +63,6 @@ class Voxelize:
             rgb=group_means(points.rgb, of_point, J), footprint=finest, centres=points.centres,
             neighbours=neighbours, distances=distances,
         )  # fmt: skip
-
-
-def pixel_footprint(points: Points) -> Float32[np.ndarray, "N"]:
-    """Extent of every sample's pixel at its point, distance / focal [m]."""
-    ray = points.xyz - points.centres.astype(np.float32)[points.view]
-    return (np.linalg.norm(ray, axis=1) / points.focal[points.view]).astype(np.float32)
 
 
 def nice_size(size: float, metric: bool) -> float:

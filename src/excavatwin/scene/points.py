@@ -26,8 +26,8 @@ class Points:
     """Colour; grey where the view carries no image."""
     centres: Float64[np.ndarray, "S 3"]
     """Camera centres [m]."""
-    focal: Float64[np.ndarray, "S"]
-    """Focal length of every view's lattice [px]; distance / focal is the footprint of a pixel."""
+    footprint: Float32[np.ndarray, "N"]
+    """Extent of every sample's pixel at its point, distance / focal length [m]."""
     shapes: tuple[tuple[int, int], ...]
     """(H, W) of every view's lattice."""
 

@@ -39,37 +39,38 @@ def correspond(observations: Observations, T_M_R: Float64[np.ndarray, "4 4"], ma
     Raises:
         InputError: no pixel of any view has a point.
     """
-    scale = np.cbrt(np.linalg.det(T_M_R[:3, :3]))
-    xyz, footprint, valid, centres = [], [], [], []
-    for view in observations.views:
-        p = view.points.reshape(-1, 3)
-        at = np.flatnonzero(np.isfinite(p).all(axis=1))
-        p = p[at].astype(np.float64)
-        footprint.append(scale * np.linalg.norm(p - view.centre, axis=1) / view.K_cam[0, 0])
-        xyz.append((p @ T_M_R[:3, :3].T + T_M_R[:3, 3]).astype(np.float32))
-        valid.append(at)
-        centres.append(T_M_R[:3, :3] @ view.centre + T_M_R[:3, 3])
-    if not sum(map(len, valid)):
-        raise InputError("no pixel of any view has a reconstructed point; nothing can be mapped.")
-    limit = max_footprint * np.median(np.concatenate(footprint))
-    near = [f <= limit for f in footprint]
-    valid = [v[n] for v, n in zip(valid, near, strict=True)]
-    shapes = tuple(view.shape for view in observations.views)
-    starts = np.cumsum([0, *(h * w for h, w in shapes)])[:-1]
+    from excavatwin.kernels.lattice import valid_points
+
     views = observations.views
+    centres = np.array([T_M_R[:3, :3] @ view.centre + T_M_R[:3, 3] for view in views])
+    A = np.ascontiguousarray(T_M_R[:3])
+    parts = [
+        valid_points(view.points.reshape(-1, 3), A, centre, float(view.K_cam[0, 0]))
+        for view, centre in zip(views, centres, strict=True)
+    ]
+    footprint = np.concatenate([part[2] for part in parts])
+    if len(footprint) == 0:
+        raise InputError("no pixel of any view has a reconstructed point; nothing can be mapped.")
+    near = footprint <= max_footprint * np.median(footprint)
+    counts = np.array([len(part[0]) for part in parts])
+    near_by_view = np.split(near, np.cumsum(counts)[:-1])
+    valid = [part[0][n] for part, n in zip(parts, near_by_view, strict=True)]
+    shapes = tuple(view.shape for view in views)
+    starts = np.cumsum([0, *(h * w for h, w in shapes)])[:-1]
+    grey = np.full((1, 3), 128, np.uint8)
     return Points(
-        xyz=np.concatenate([p[n] for p, n in zip(xyz, near, strict=True)]),
+        xyz=np.concatenate([part[1] for part in parts])[near],
         confidence=np.concatenate([v.confidence.ravel()[at] for v, at in zip(views, valid, strict=True)]),
         evidence=np.concatenate([v.evidence.reshape(-1, K)[at] for v, at in zip(views, valid, strict=True)]),
         view=np.repeat(np.arange(len(views), dtype=np.int32), [len(at) for at in valid]),
         pixel=np.concatenate([start + at for start, at in zip(starts, valid, strict=True)]),
         rgb=np.concatenate(
             [
-                np.full((len(at), 3), 128, np.uint8) if v.image is None else v.image.reshape(-1, 3)[at]
+                grey.repeat(len(at), axis=0) if v.image is None else v.image.reshape(-1, 3)[at]
                 for v, at in zip(views, valid, strict=True)
             ]
         ),
-        centres=np.array(centres),
-        focal=np.array([view.K_cam[0, 0] for view in views]),
+        footprint=footprint[near],
+        centres=centres,
         shapes=shapes,
     )
