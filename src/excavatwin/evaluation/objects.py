@@ -7,9 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64
 
+from excavatwin.evaluation.elevation import ground_sampling_distance
 from excavatwin.evaluation.metric import Metric
 from excavatwin.scene.elevation_map import MapObject
 from excavatwin.scene.truth import Truth
+
+RESOLVED = 20
+"""An object of fewer pixels across, on the ground, is too small for its size to be measured [GSD]."""
 
 
 def area(polygon: Float64[np.ndarray, "n 2"]) -> float:
@@ -76,7 +80,9 @@ def object_metrics(mapped: Sequence[MapObject], truth: Truth, offset: Float64[np
     """
     pairs = match(mapped, truth.objects, offset)
     per_object: list[Metric] = []
-    relative, absolute, centres, tops = [], [], [], []
+    relative, resolved, absolute, centres, tops = [], [], [], [], []
+    gsd = ground_sampling_distance(truth)
+    smallest = RESOLVED * gsd if np.isfinite(gsd) else 0.0  # without photos every object counts
     for i, j, overlap in sorted(pairs, key=lambda pair: pair[1]):
         a, b = mapped[i], truth.objects[j]
         name = f"object_{j + 1}_{truth.names[j] if j < len(truth.names) else 'object'}"
@@ -84,6 +90,8 @@ def object_metrics(mapped: Sequence[MapObject], truth: Truth, offset: Float64[np
         share = difference / b.size
         absolute.append(np.abs(difference))
         relative.append(np.abs(share))
+        if b.size[1] >= smallest:
+            resolved.append(np.abs(share))
         centres.append(float(np.hypot(*(np.array(a.centre[:2]) + offset[:2] - b.centre[:2]))))
         tops.append(abs(a.z_top + offset[2] - b.z_top))
         per_object += [
@@ -110,5 +118,11 @@ def object_metrics(mapped: Sequence[MapObject], truth: Truth, offset: Float64[np
         Metric("object_top_error", mean(tops), "m", "mean absolute error of the tops"),
         Metric("object_size_error", mean(absolute), "m", "mean absolute error of length, width and height"),
         Metric("object_size_relative_error", 100 * mean(relative), "%", "mean of the same, relative to the true size"),
+        Metric(
+            "object_size_relative_error_resolved",
+            100 * mean(resolved),
+            "%",
+            f"mean of the same, objects of at least {RESOLVED} GSD across",
+        ),
         *per_object,
     )
