@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
+import textwrap
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -92,3 +94,10 @@ def say(*lines: str) -> None:
 def complain(sentence: str) -> None:
     """One sentence, on stderr."""
     print(f"excavatwin: {' '.join(sentence.split())}", file=sys.stderr, flush=True)
+
+
+def wrapped(head: str, text: str, width: int = 110) -> list[str]:
+    """Text behind a head, as a hanging paragraph; a number and its unit stay on one line."""
+    joined = re.sub(r"(?<=\d) (?=(?:%|m|s|GB|min|unit)\b|%)", "\u00a0", text)
+    rows = textwrap.wrap(joined, width, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False)
+    return [row.replace("\u00a0", " ") for row in rows]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -58,6 +57,8 @@ def demo_command(
 
 def metric_table(metrics: Sequence[Metric]) -> list[str]:
     """One line a metric: name, value with unit, meaning; the figures of one object or of all classes share a line."""
+    from excavatwin.cli.console import wrapped
+
     lines: list[str] = []
     shared: dict[str, list[str]] = {}
     for metric in metrics:
@@ -71,8 +72,7 @@ def metric_table(metrics: Sequence[Metric]) -> list[str]:
             text = f"{metric.meaning} ({metric.value:+.1f} %)" if error else f"{name} {_value(metric)}"
             shared.setdefault(family, []).append(text)
     for family, texts in shared.items():
-        head = f"  {family:<28}"
-        lines += textwrap.wrap(", ".join(texts), 118, initial_indent=head, subsequent_indent=" " * len(head))
+        lines += wrapped(f"  {family:<28}", ", ".join(texts), 118)
     return lines
 
 

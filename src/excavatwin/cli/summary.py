@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from excavatwin.cli.console import say
+from excavatwin.cli.console import say, wrapped
 from excavatwin.scene.elevation_map import ElevationMap
 from excavatwin.scene.site import Site
 from excavatwin.scene.taxonomy import Reason, class_name
@@ -50,7 +49,7 @@ def headline(site: Site) -> list[str]:
         f"peak memory {memory / 1e9:.2f} GB"
     ]
     for row in photos["unplaced"]:
-        lines += _wrapped("  not used: ", f"{row['name']}: {row['reason']}")
+        lines += wrapped("  not used: ", f"{row['name']}: {row['reason']}")
     return lines
 
 
@@ -63,10 +62,11 @@ def table(site: Site) -> list[str]:
         ("coverage", _coverage(m)),
         ("elevation", _elevation(m)),
         ("scale", _scale(m)),
+        ("vertical", f"from {site.run['source'].get('gravity', 'the observations')}"),
         ("objects", _objects(m)),
         ("stages", " · ".join(_stages(site.run["stages"]))),
     ]
-    return [line for name, text in rows for line in _wrapped(f"  {name:<11}", text)]
+    return [line for name, text in rows for line in wrapped(f"  {name:<11}", text)]
 
 
 def _coverage(m: ElevationMap) -> str:
@@ -118,7 +118,7 @@ def _stages(stages: dict[str, dict[str, Any]]) -> list[str]:
 
 def _doubts(site: Site) -> list[str]:
     warnings = site.run.get("warnings", [])
-    return ["", "Doubts:", *(line for text in warnings for line in _wrapped("  ! ", text))] if warnings else []
+    return ["", "Doubts:", *(line for text in warnings for line in wrapped("  ! ", text))] if warnings else []
 
 
 def files(folder: Path) -> list[str]:
@@ -137,7 +137,3 @@ def _next(site: Site, folder: Path, command: str) -> list[str]:
 def duration(seconds: float) -> str:
     """``"42.1 s"``, ``"2 min 31 s"``."""
     return f"{seconds:.1f} s" if seconds < 60 else f"{int(seconds) // 60} min {int(seconds) % 60} s"
-
-
-def _wrapped(head: str, text: str) -> list[str]:
-    return textwrap.wrap(text, 110, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False)

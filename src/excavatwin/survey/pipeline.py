@@ -272,6 +272,7 @@ def _fuse(
     with journal.stage("fuse"):
         site = plan.mapper(obs, progress)
     journal.note(*obs.doubts, *site.map.doubts)
+    facts = facts | {"source": dict(obs.source)}
     photos = {
         "found": len(obs.views) + len(obs.unplaced),
         "placed": len(obs.views),
