@@ -208,6 +208,7 @@ def _placement(
         photo = item.photo
         K = np.array([[f / item.scale, 0, photo.width / 2], [0, f / item.scale, photo.height / 2], [0, 0, 1]])
         k1, k2 = (*radial, 0.0)[:2]
+        rows = np.array(sorted({row[point.point3D_id] for point in seen}), np.int64)  # one place may give two features
         placed = PlacedCamera(
             name=photo.name,
             width=photo.width,
@@ -215,11 +216,11 @@ def _placement(
             K_photo=K,
             distortion=(float(k1), float(k2), 0.0, 0.0),
             T_R_cam=invert_rigid(pose),
-            n_points=len(seen),
+            n_points=len(rows),
             reprojection_error=float(np.nanmedian(error)) / item.scale if len(seen) else float("nan"),
         )
         cameras.append(placed)
-        visible.append(np.array(sorted({row[point.point3D_id] for point in seen}), np.int64))
+        visible.append(rows)
     known = all(features[i - 1].photo.focal is not None for i in model.reg_image_ids())
     doubts = () if known or calibration.focal_refined else (_unknown_focal(),)
     return Placement(
