@@ -20,6 +20,7 @@ from excavatwin.geometry.voxelize import Voxelize
 from excavatwin.mapping.assembly import assemble, cell_support
 from excavatwin.mapping.cell_labels import CellLabels
 from excavatwin.mapping.elevation import Elevation
+from excavatwin.mapping.instances import Instances
 from excavatwin.mapping.occupancy import Occupancy
 from excavatwin.mapping.raster import Raster
 from excavatwin.paper import equation
@@ -56,6 +57,7 @@ class Mapper:
     vote: Vote = Vote()
     admissibility: Admissibility | AdmitAll = Admissibility()
     decision: Decision = Decision()
+    instances: Instances = Instances()
     raster: Raster = Raster()
     elevation: Elevation = Elevation()
     cell_labels: CellLabels = CellLabels()
@@ -82,10 +84,11 @@ class Mapper:
         v = do("vote", self.vote, voxels, evidence, weight)  # eq:vote
         g = do("admissibility", self.admissibility, voxels, local, terrain, objects)  # g_j(k)
         labels = do("decision", self.decision, v, g)  # eq:score, eq:semantic_decision
+        instance, labels = do("instances", self.instances, voxels, local, labels, terrain)
         cells = do("raster", self.raster, voxels, local)
         elevation = do("elevation", self.elevation, cells, voxels, labels, terrain, weight)  # eq:semantic_elevation
         semantics = do("cell labels", self.cell_labels, cells, voxels, labels)  # eq:grid_semantics
-        occupied = do("occupancy", self.occupancy, cells, voxels, local, labels, terrain)
+        occupied = do("occupancy", self.occupancy, cells, voxels, labels, terrain, instance)
         doubts = (*observations.doubts, *tilted, *unsure)
         support = cell_support(cells, voxels, terrain)
         site_map = assemble(
@@ -93,7 +96,7 @@ class Mapper:
         )  # eq:multilayer_map
         return Trace(
             observations=observations, T_M_R=T_M_R, points=points, voxels=voxels, local=local, terrain=terrain,
-            evidence=evidence, objects=objects, weight=weight, labels=labels, occupied=occupied.of_voxel,
+            evidence=evidence, objects=objects, weight=weight, labels=labels, occupied=instance,
             map=site_map, seconds=do.seconds,
         )  # fmt: skip
 
@@ -143,7 +146,7 @@ class _Steps:
 
     progress: Progress
     seconds: dict[str, float] = field(default_factory=dict)
-    stages: int = 17
+    stages: int = 18
 
     def __call__(self, name: str, stage: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         self.progress(f"fusion: {name}", len(self.seconds), self.stages)

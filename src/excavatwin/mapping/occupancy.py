@@ -11,10 +11,9 @@ from excavatwin.mapping.boxes import convex_hull, smallest_rectangle
 from excavatwin.mapping.raster import Cells
 from excavatwin.scene.elevation_map import MapObject
 from excavatwin.scene.labels import Labels
-from excavatwin.scene.support import LocalGeometry, Terrain
-from excavatwin.scene.taxonomy import OBJECT_CLASSES, TaskClass
+from excavatwin.scene.support import Terrain
+from excavatwin.scene.taxonomy import TaskClass
 from excavatwin.scene.voxels import Voxels
-from excavatwin.topology import radius_clusters
 
 
 @dataclass(frozen=True)
@@ -25,41 +24,22 @@ class Occupied:
     top: Float32[np.ndarray, "Y X"]
     base: Float32[np.ndarray, "Y X"]
     objects: tuple[MapObject, ...]
-    of_voxel: Int32[np.ndarray, "J"]
-    """Object of every voxel, 0 = none."""
 
 
 @dataclass(frozen=True)
 class Occupancy:
-    """Connected components of the voxels that were decided to be excavator or obstacle."""
+    """Rasters and oriented boxes of the object instances."""
 
-    radius: float = 2.5
-    """Linkage distance [voxels]."""
-    min_voxels: int = 12
-    """Smallest object."""
-    min_height: float = 2.5
-    """Least height above the terrain [voxels]."""
     trim: float = 0.01
     """Share of an object's voxels that may lie outside its box on every side: flying points at depth edges."""
 
     def __call__(
-        self, cells: Cells, voxels: Voxels, local: LocalGeometry, labels: Labels, terrain: Terrain
+        self, cells: Cells, voxels: Voxels, labels: Labels, terrain: Terrain, instance: Int32[np.ndarray, "J"]
     ) -> Occupied:
-        """Objects numbered from 1, largest first."""
-        rows = np.flatnonzero(np.isin(labels.label, OBJECT_CLASSES) & ~terrain.member & local.inlier)
-        kind = labels.label[rows].astype(np.int32)
-        cluster, size = radius_clusters(voxels.centre[rows], self.radius * voxels.size, kind)
-        top = np.full(len(size), -np.inf)
-        np.maximum.at(top, cluster, terrain.height[rows])
-        keep = (size >= self.min_voxels) & (top >= self.min_height * voxels.size)
-        order = np.argsort(-size, kind="stable")
-        number = np.zeros(len(size), np.int32)
-        number[order[keep[order]]] = np.arange(1, keep.sum() + 1)
-        of_voxel = np.zeros(len(voxels), np.int32)
-        of_voxel[rows] = number[cluster] if len(size) else 0
-        objects = tuple(self.box(int(i), of_voxel == i, voxels, labels, terrain) for i in range(1, int(keep.sum()) + 1))
-        object_id, highest, lowest = self.rasterize(cells, voxels, of_voxel)
-        return Occupied(object_id, highest, lowest, objects, of_voxel)
+        """Occupancy, vertical extent and boxes of the objects 1..M of ``instance``."""
+        numbers = range(1, int(instance.max(initial=0)) + 1)
+        objects = tuple(self.box(i, instance == i, voxels, labels, terrain) for i in numbers)
+        return Occupied(*self.rasterize(cells, voxels, instance), objects)
 
     def box(
         self, object_id: int, member: Bool[np.ndarray, "J"], voxels: Voxels, labels: Labels, terrain: Terrain

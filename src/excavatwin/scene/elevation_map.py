@@ -41,7 +41,7 @@ class Layer:
 
 LAYERS: tuple[Layer, ...] = (
     Layer("elevation", "float32", "m", np.nan, "terrain elevation H_c, median of its points (eq:semantic_elevation)"),
-    Layer("elevation_std", "float32", "m", np.nan, "standard deviation of H_c, from spread and confidence"),
+    Layer("elevation_std", "float32", "m", np.nan, "standard deviation of H_c, without what the whole map shares"),
     Layer("label", "uint8", "1", NOT_OBSERVED, "task class L_c (eq:grid_semantics); 255 = not observed", TaskClass),
     Layer("confidence", "float32", "1", 0.0, "share of the cell's votes that its class won"),
     Layer("observed", "uint8", "1", 0, "1 where at least one point with trustworthy depth lies in the cell"),

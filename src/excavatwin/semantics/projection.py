@@ -18,7 +18,7 @@ from excavatwin.scene.taxonomy import K
 class Correspondence:
     """Every valid pixel is a point with its confidence and its evidence."""
 
-    max_footprint: float = 4.0
+    max_footprint: float = 2.5
     """Pixels that cover more than this many times the scene's median footprint are too far away to be mapped."""
 
     def __call__(self, observations: Observations, T_M_R: Float64[np.ndarray, "4 4"]) -> Points:

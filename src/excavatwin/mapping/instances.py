@@ -1,0 +1,79 @@
+"""Instances: which voxels of excavators and obstacles form one body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float32, Int32, Int64
+
+from excavatwin.scene.labels import Labels
+from excavatwin.scene.support import LocalGeometry, Terrain
+from excavatwin.scene.taxonomy import OBJECT_CLASSES
+from excavatwin.scene.voxels import Voxels
+from excavatwin.topology import radius_clusters
+
+
+@dataclass(frozen=True)
+class Instances:
+    """Connected components of the voxels that were decided to be excavator or obstacle.
+
+    Seen from above, the sides of a body are often missing: height differences count less than horizontal ones. A body
+    is one thing: a fragment of the other class that touches a much larger body takes its class.
+    """
+
+    radius: float = 3.5
+    """Linkage distance [voxels]."""
+    vertical: float = 0.25
+    """What a vertical distance counts in it."""
+    min_voxels: int = 12
+    """Smallest object."""
+    min_height: float = 2.5
+    """Least height above the terrain that an object must reach [voxels]."""
+    fragment: float = 0.5
+    """A touching component of the other class joins a body when it has less than this share of its voxels."""
+
+    def __call__(
+        self, voxels: Voxels, local: LocalGeometry, labels: Labels, terrain: Terrain
+    ) -> tuple[Int32[np.ndarray, "J"], Labels]:
+        """(object of every voxel from 1, largest first, 0 = none; labels with fragments joined to their bodies)."""
+        rows = np.flatnonzero(np.isin(labels.label, OBJECT_CLASSES) & ~terrain.member & local.inlier)
+        flattened = voxels.centre[rows] * np.array([1, 1, self.vertical], np.float32)
+        radius = self.radius * voxels.size
+        kind = labels.label[rows].astype(np.int32)
+        cluster, size = radius_clusters(flattened, radius, kind)
+        host = self.hosts(cluster, size, *radius_clusters(flattened, radius))
+        body = host[cluster]
+        label = labels.label.copy()
+        first = np.full(len(size), -1, np.int64)
+        first[cluster[::-1]] = rows[::-1]
+        label[rows] = labels.label[first[body]]
+        of_voxel = np.zeros(len(voxels), np.int32)
+        of_voxel[rows] = self.numbered(body, len(size), terrain.height[rows], voxels.size)
+        return of_voxel, replace(labels, label=label)
+
+    def hosts(
+        self, cluster: Int32[np.ndarray, "n"], size: Int64[np.ndarray, "c"], blob: Int32[np.ndarray, "n"], _: object
+    ) -> Int32[np.ndarray, "c"]:
+        """Body that every component belongs to: the largest of its touching group, when it is a fragment of it."""
+        group = np.zeros(len(size), np.int32)
+        group[cluster] = blob
+        largest = np.zeros(int(group.max(initial=-1)) + 1, np.int32)
+        ascending = np.argsort(size, kind="stable")
+        largest[group[ascending]] = ascending  # the last write wins: the largest
+        host = largest[group] if len(size) else np.zeros(0, np.int32)
+        own = np.arange(len(size), dtype=np.int32)
+        return np.where(size < self.fragment * size[host], host, own).astype(np.int32)
+
+    def numbered(
+        self, body: Int32[np.ndarray, "n"], count: int, height: Float32[np.ndarray, "n"], voxel: float
+    ) -> Int32[np.ndarray, "n"]:
+        """Object numbers of the bodies that are large and high enough, from 1 in order of size; 0 for the others."""
+        size = np.bincount(body, minlength=count)
+        top = np.full(count, -np.inf)
+        np.maximum.at(top, body, height)
+        keep = (size >= self.min_voxels) & (top >= self.min_height * voxel)
+        order = np.argsort(-size, kind="stable")
+        number = np.zeros(count, np.int32)
+        number[order[keep[order]]] = np.arange(1, keep.sum() + 1)
+        return number[body] if count else np.zeros(0, np.int32)
