@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import Float64
 
 from excavatwin.evaluation.elevation import ground_sampling_distance
@@ -79,50 +80,52 @@ def object_metrics(mapped: Sequence[MapObject], truth: Truth, offset: Float64[np
     A size error is positive when the map's box is too large.
     """
     pairs = match(mapped, truth.objects, offset)
-    per_object: list[Metric] = []
-    relative, resolved, absolute, centres, tops = [], [], [], [], []
+    ours, theirs = [mapped[i] for i, _, _ in pairs], [truth.objects[j] for _, j, _ in pairs]
+    size = np.array([a.size for a in ours]).reshape(-1, 3)
+    true_size = np.array([b.size for b in theirs]).reshape(-1, 3)
+    error = np.abs(size - true_size)
     gsd = ground_sampling_distance(truth)
-    smallest = RESOLVED * gsd if np.isfinite(gsd) else 0.0  # without photos every object counts
-    for i, j, overlap in sorted(pairs, key=lambda pair: pair[1]):
-        a, b = mapped[i], truth.objects[j]
-        name = f"object_{j + 1}_{truth.names[j] if j < len(truth.names) else 'object'}"
-        difference = np.array(a.size) - b.size
-        share = difference / b.size
-        absolute.append(np.abs(difference))
-        relative.append(np.abs(share))
-        if b.size[1] >= smallest:
-            resolved.append(np.abs(share))
-        centres.append(float(np.hypot(*(np.array(a.centre[:2]) + offset[:2] - b.centre[:2]))))
-        tops.append(abs(a.z_top + offset[2] - b.z_top))
-        per_object += [
-            Metric(
-                f"{name}_{side}_error", 100 * float(share[k]), "%", f"{side} {a.size[k]:.2f} m, true {b.size[k]:.2f} m"
-            )
-            for k, side in enumerate(("length", "width", "height"))
-        ]
-        per_object.append(Metric(f"{name}_overlap", 100 * overlap, "%", "IoU of the footprints' boxes"))
-    right = [mapped[i].task_class == truth.objects[j].task_class for i, j, _ in pairs]
-
-    def share_of(count: float, total: int) -> float:
-        return 100 * count / total if total else float("nan")
-
-    def mean(values: Sequence[np.ndarray] | Sequence[float]) -> float:
-        return float(np.mean(values)) if len(values) else float("nan")
-
+    resolved = true_size[:, 1] >= (RESOLVED * gsd if np.isfinite(gsd) else 0.0)  # without photos every object counts
+    apart = [np.hypot(*(np.array(a.centre[:2]) + offset[:2] - b.centre[:2])) for a, b in zip(ours, theirs, strict=True)]
+    tops = [abs(a.z_top + offset[2] - b.z_top) for a, b in zip(ours, theirs, strict=True)]
+    right = [a.task_class == b.task_class for a, b in zip(ours, theirs, strict=True)]
     return (
-        Metric("object_recall", share_of(len(pairs), len(truth.objects)), "%", f"of {len(truth.objects)} true objects"),
-        Metric("object_precision", share_of(len(pairs), len(mapped)), "%", f"of {len(mapped)} mapped objects"),
-        Metric("object_class_accuracy", share_of(sum(right), len(pairs)), "%", "matched objects of the right class"),
+        Metric("object_recall", 100 * share(pairs, truth.objects), "%", f"of {len(truth.objects)} true objects"),
+        Metric("object_precision", 100 * share(pairs, mapped), "%", f"of {len(mapped)} mapped objects"),
+        Metric("object_class_accuracy", 100 * mean(right), "%", "matched objects of the right class"),
         Metric("object_overlap", 100 * mean([o for _, _, o in pairs]), "%", "mean IoU of the footprints' boxes"),
-        Metric("object_centre_error", mean(centres), "m", "mean horizontal distance of the centres"),
+        Metric("object_centre_error", mean(apart), "m", "mean horizontal distance of the centres"),
         Metric("object_top_error", mean(tops), "m", "mean absolute error of the tops"),
-        Metric("object_size_error", mean(absolute), "m", "mean absolute error of length, width and height"),
-        Metric("object_size_relative_error", 100 * mean(relative), "%", "mean of the same, relative to the true size"),
+        Metric("object_size_error", mean(error), "m", "mean absolute error of length, width and height"),
+        Metric("object_size_relative_error", 100 * mean(error / true_size), "%", "mean of the same, of the true size"),
         Metric(
             "object_size_relative_error_resolved",
-            100 * mean(resolved),
+            100 * mean((error / true_size)[resolved]),
             "%",
             f"mean of the same, objects of at least {RESOLVED} GSD across",
         ),
-        *per_object,
+        *(figure for pair in sorted(pairs, key=lambda pair: pair[1]) for figure in one_object(pair, mapped, truth)),
     )
+
+
+def one_object(pair: tuple[int, int, float], mapped: Sequence[MapObject], truth: Truth) -> list[Metric]:
+    """Errors of length, width and height of one matched object, relative to the true ones, and its overlap."""
+    i, j, overlap = pair
+    a, b = mapped[i], truth.objects[j]
+    name = f"object_{j + 1}_{truth.names[j] if j < len(truth.names) else 'object'}"
+    figures = [
+        Metric(f"{name}_{side}_error", 100 * (ours / true - 1), "%", f"{side} {ours:.2f} m, true {true:.2f} m")
+        for side, ours, true in zip(("length", "width", "height"), a.size, b.size, strict=True)
+    ]
+    return [*figures, Metric(f"{name}_overlap", 100 * overlap, "%", "IoU of the footprints' boxes")]
+
+
+def mean(values: npt.ArrayLike) -> float:
+    """Mean; NaN of nothing."""
+    a = np.asarray(values, float)
+    return float(a.mean()) if a.size else float("nan")
+
+
+def share(part: Sized, whole: Sized) -> float:
+    """Length of a part over that of the whole; NaN of nothing."""
+    return len(part) / len(whole) if len(whole) else float("nan")

@@ -36,6 +36,7 @@ class Material(IntEnum):
     GRASS = 8
     BARK = 9
     BLUE_PAINT = 10
+    RED_PAINT = 11
 
 
 ALBEDO = np.array(
@@ -51,6 +52,7 @@ ALBEDO = np.array(
         (0.17, 0.22, 0.06),
         (0.10, 0.07, 0.05),
         (0.05, 0.13, 0.33),
+        (0.42, 0.035, 0.03),
     ]
 )
 """Linear reflectance of each material red green blue."""

@@ -130,9 +130,14 @@ def block(length: float = 1.8, width: float = 1.0, height: float = 1.0) -> list[
     return [box((-length / 2, -width / 2, 0), (length / 2, width / 2, height), M.CONCRETE)]
 
 
-def crate(length: float = 1.5, width: float = 1.2, height: float = 0.9) -> list[Body]:
-    """A wooden crate."""
-    return [box((-length / 2, -width / 2, 0), (length / 2, width / 2, height), M.WOOD)]
+def toolbox(length: float = 1.5, width: float = 1.2, height: float = 0.9) -> list[Body]:
+    """A red steel box for tools, with a grey handle's recess in its lid."""
+    x, y = length / 2, width / 2
+    return [
+        box((-x, -y, 0.08), (x, y, height - 0.004), M.RED_PAINT),
+        box((-x + 0.1, -y + 0.1, 0), (x - 0.1, y - 0.1, 0.08), M.DARK_STEEL),
+        box((-0.25, -0.12, height - 0.02), (0.25, 0.12, height), M.DARK_STEEL),
+    ]
 
 
 def cone() -> list[Body]:

@@ -38,7 +38,7 @@ PLACEMENTS = (
     Placement("pipes", TaskClass.OBSTACLE, models.pipe_row, -8.0, -7.6, 65.0, 2.2),
     Placement("skip", TaskClass.OBSTACLE, models.skip, 3.4, 7.4, 8.0, 1.9),
     Placement("block", TaskClass.OBSTACLE, models.block, -1.2, -8.2, 30.0, 1.1),
-    Placement("crate", TaskClass.OBSTACLE, models.crate, 7.2, -7.6, -25.0, 1.0),
+    Placement("toolbox", TaskClass.OBSTACLE, models.toolbox, 7.2, -7.6, -25.0, 1.0),
     Placement("cone", TaskClass.OBSTACLE, models.cone, 7.3, -1.4, 0.0, 0.4),
     Placement("cone", TaskClass.OBSTACLE, models.cone, -0.6, -1.7, 20.0, 0.4),
 )
