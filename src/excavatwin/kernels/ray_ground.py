@@ -56,6 +56,22 @@ def to_line(position, step, low, cell, index):
 
 
 @njit(cache=True)
+def over_square(ground, o, d, far):
+    """Ray parameters between which the ray is over the square of vertices; the first is larger when it never is."""
+    enter, leave = 0.0, far
+    for axis in range(2):
+        low = ground.west if axis == 0 else ground.south
+        high = low + ground.cell * (ground.height.shape[1 - axis] - 1)
+        if d[axis] == 0:
+            if o[axis] <= low or o[axis] >= high:
+                leave = -1.0
+        else:
+            a, b = (low - o[axis]) / d[axis], (high - o[axis]) / d[axis]
+            enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    return enter, leave
+
+
+@njit(cache=True)
 def hit_ground(ground, o, d, far):
     """Ray parameter of the first crossing of the terrain from above, inf when there is none before ``far``."""
     plane = ground.plane
@@ -64,16 +80,7 @@ def hit_ground(ground, o, d, far):
     t_plane = -gap / drop if drop < 0 and gap > 0 else np.inf
     height, cell = ground.height, ground.cell
     rows, cols = height.shape[0] - 1, height.shape[1] - 1
-    enter, leave = 0.0, far
-    for axis in range(2):
-        low = ground.west if axis == 0 else ground.south
-        high = low + cell * (cols if axis == 0 else rows)
-        if d[axis] == 0:
-            if o[axis] <= low or o[axis] >= high:
-                leave = -1.0
-        else:
-            a, b = (low - o[axis]) / d[axis], (high - o[axis]) / d[axis]
-            enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    enter, leave = over_square(ground, o, d, far)
     if leave <= enter:
         return t_plane if t_plane < far else np.inf
     if t_plane < enter:

@@ -47,7 +47,7 @@ PLACEMENTS = (
 
 @dataclass(frozen=True)
 class DigSite:
-    """Parameters of a site; equal sites are equal to the last bit on every machine."""
+    """Parameters of a site; equal parameters give equal sites."""
 
     seed: int = 7
     extent: float = 30.0

@@ -77,7 +77,7 @@ def inside_heap(
 
 @dataclass(frozen=True)
 class Earthworks:
-    """Shape of the ground; positions are fractions of nothing: metres in frame M, origin at the site's centre."""
+    """Shape of the ground; positions in metres of frame M, whose origin is the site's centre."""
 
     slope: tuple[float, float] = (0.02, -0.015)
     """Fall of the whole site along x and y [m/m]."""
