@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from test_cli import observations
+
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 EQUATIONS_PAGE = ROOT / "docs" / "equations.md"
@@ -53,6 +55,18 @@ def test_commands_of_the_readme_exist() -> None:
             words, _ = split_stage_flags(words[1:])
             app.parse_args([word for word in words if word != ">"][: words.index(">") if ">" in words else None])
     assert {"map", "fuse", "doctor"} <= seen
+
+
+def test_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[tuple[str, ...]] = []
+    observations(tmp_path / "observations.npz")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        "excavatwin.survey.map_photos", lambda *words: called.append(words)
+    )  # minutes: tested elsewhere
+    for text in blocks(ROOT / "README.md", "python"):
+        exec(compile(text, "README.md", "exec"), {})
+    assert called == [("photos", "site")]
 
 
 def test_make_targets_of_the_readme_exist() -> None:
