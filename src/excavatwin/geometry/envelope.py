@@ -11,7 +11,7 @@ from excavatwin.paper import equation
 def progressive_filter(
     H: Float32[np.ndarray, "Y X"], cell: float, window: float, step: float, slope: float, smear: int
 ) -> tuple[Bool[np.ndarray, "Y X"], Float32[np.ndarray, "Y X"]]:
-    """Cells that stand off the ground, by openings with a window that grows cell by cell (after Zhang et al., 2003).
+    """Cells that stand off the ground, by openings with a window that grows step by step (after Zhang et al., 2003).
 
     Each opening lowers a ridge of inclination ``slope`` by about slope times half the growth of the window (sqrt(2)
     times that for a cone under a square window), so heaps at their angle of repose pass whatever their size; a body
@@ -32,13 +32,16 @@ def progressive_filter(
     from excavatwin.kernels.morphology import opening
 
     raised = np.zeros(H.shape, bool)
-    surfaces = [H]
-    for radius in range(1, max(1, int(np.ceil(window / cell / 2))) + 1):
+    last = max(1, int(np.ceil(window / cell / 2)))
+    surfaces, radii = [H], [0]
+    while radii[-1] < last:
+        radius = min(last, radii[-1] + max(1, radii[-1] // 6))  # large windows may grow faster: large bodies are high
         opened = opening(surfaces[-1], radius)
         for lag in {1, min(smear, len(surfaces))}:
+            growth = radius - radii[-lag]
             with np.errstate(invalid="ignore"):
-                raised |= surfaces[-lag] - opened > step + slope * np.sqrt(2) * lag * cell
-        surfaces = [*surfaces, opened][-smear:]
+                raised |= surfaces[-lag] - opened > step + slope * np.sqrt(2) * growth * cell
+        surfaces, radii = [*surfaces, opened][-smear:], [*radii, radius][-smear:]
     return raised, surfaces[-1]
 
 

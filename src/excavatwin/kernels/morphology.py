@@ -5,39 +5,56 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-
-@njit(cache=True)
-def _running_extreme(line: np.ndarray, radius: int, sign: float, out: np.ndarray, queue: np.ndarray) -> None:
-    """Maximum of ``sign * line`` over windows of +-radius with a monotonic queue; NaN where a window is all NaN."""
-    n = len(line)
-    head, tail = 0, 0
-    for i in range(n + radius):
-        if i < n and not np.isnan(line[i]):
-            while tail > head and sign * line[queue[tail - 1]] <= sign * line[i]:
-                tail -= 1
-            queue[tail] = i
-            tail += 1
-        j = i - radius
-        if j >= 0:
-            while head < tail and queue[head] < j - radius:
-                head += 1
-            out[j] = line[queue[head]] if tail > head else np.nan
+#: Columns that one thread works on at a time: a strip of them stays in the first-level cache.
+STRIP = 64
 
 
 @njit(cache=True, parallel=True)
+def _vertical_minimum(A: np.ndarray, radius: int) -> np.ndarray:
+    """Minimum over the 2 radius + 1 rows around every row (van Herk, 1992; Gil and Werman, 1993); no NaN allowed.
+
+    Windows are cut into blocks of their own length: a running minimum from the block's start and one from its end meet
+    in every window, so the cost does not depend on the radius. The inner loop runs along a row.
+    """
+    rows, cols = A.shape
+    width = 2 * radius + 1
+    padded = -(-(rows + 2 * radius) // width) * width
+    out = np.empty_like(A)
+    for strip in prange(-(-cols // STRIP)):
+        left = strip * STRIP
+        n = min(STRIP, cols - left)
+        ahead = np.full((padded, n), np.inf, A.dtype)
+        for y in range(rows):
+            for x in range(n):
+                ahead[radius + y, x] = A[y, left + x]
+        back = ahead.copy()
+        for y in range(1, padded):
+            if y % width:
+                for x in range(n):
+                    ahead[y, x] = min(ahead[y, x], ahead[y - 1, x])
+        for y in range(padded - 2, -1, -1):
+            if (y + 1) % width:
+                for x in range(n):
+                    back[y, x] = min(back[y, x], back[y + 1, x])
+        for y in range(rows):
+            for x in range(n):
+                out[y, left + x] = min(back[y, x], ahead[y + 2 * radius, x])
+    return out
+
+
+@njit(cache=True)
 def windowed_extreme(H: np.ndarray, radius: int, maximum: bool) -> np.ndarray:
-    """Minimum or maximum over the (2 radius + 1)-square window of every cell, ignoring NaN."""
-    rows, cols = H.shape
-    sign = 1.0 if maximum else -1.0
-    along = np.empty_like(H)
+    """Minimum or maximum over the (2 radius + 1)-square window of every cell, ignoring NaN; NaN where all are."""
+    sign = -1.0 if maximum else 1.0
+    A = np.empty_like(H)
+    for y in range(H.shape[0]):
+        for x in range(H.shape[1]):
+            A[y, x] = np.inf if np.isnan(H[y, x]) else sign * H[y, x]
+    low = _vertical_minimum(np.ascontiguousarray(_vertical_minimum(A, radius).T), radius).T
     out = np.empty_like(H)
-    for y in prange(rows):
-        _running_extreme(H[y], radius, sign, along[y], np.empty(cols + 1, np.int64))
-    for x in prange(cols):
-        column = along[:, x].copy()
-        result = np.empty(rows, H.dtype)
-        _running_extreme(column, radius, sign, result, np.empty(rows + 1, np.int64))
-        out[:, x] = result
+    for y in range(H.shape[0]):
+        for x in range(H.shape[1]):
+            out[y, x] = np.nan if low[y, x] == np.inf else sign * low[y, x]
     return out
 
 

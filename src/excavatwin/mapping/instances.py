@@ -22,7 +22,7 @@ class Instances:
     is one thing: a fragment of the other class that touches a much larger body takes its class.
     """
 
-    radius: float = 3.5
+    radius: float = 4.5
     """Linkage distance [voxels]."""
     vertical: float = 0.25
     """What a vertical distance counts in it."""

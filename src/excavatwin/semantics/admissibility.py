@@ -24,10 +24,10 @@ class Admissibility:
     """Support of a class that the geometry speaks against."""
     no_component: float = 0.5
     """Support of object classes off the terrain where no component of theirs stands."""
-    cover_smooth: float = 0.35
-    """Support of removable cover on perfectly smooth terrain (short turf is ground to drive on)."""
-    rough: float = 0.35
-    """Roughness at which terrain is fully cover-like [voxels]."""
+    cover_smooth: float = 0.1
+    """Support of removable cover on terrain that is as smooth as most of the scene's: short turf is ground."""
+    rough: float = 5.0
+    """Roughness at which terrain is fully cover-like, in medians of the roughness of the scene's terrain."""
     steep: float = 1.2
     """Slope above which terrain is hardly "other" (paved, trodden, turf) terrain but a dug or dumped face [rad]."""
 
@@ -40,8 +40,7 @@ class Admissibility:
         CT, OT, RC, EX, OB = (k - 1 for k in list(TaskClass)[1:])
         g[ground, CT] = 1.0
         g[ground, OT] = np.clip((self.steep - local.slope[ground]) / (self.steep - np.pi / 4), self.doubtful, 1.0)
-        roughness = np.clip(local.roughness[ground] / (self.rough * voxels.size), 0.0, 1.0)
-        g[ground, RC] = self.cover_smooth + (1 - self.cover_smooth) * roughness
+        g[ground, RC] = self.cover_smooth + (1 - self.cover_smooth) * self.coverlike(local.roughness[ground])
         g[standing, RC] = 1.0
         for k in (EX, OB):
             g[standing, k] = 1.0 if objects is None else self.no_component
@@ -49,6 +48,13 @@ class Admissibility:
                 g[standing & (objects.task_class == k + 1), k] = 1.0
         g[~local.inlier] = 0.0
         return g
+
+    def coverlike(self, roughness: Float32[np.ndarray, "t"]) -> Float32[np.ndarray, "t"]:
+        """0 for terrain no rougher than the median, 1 from ``rough`` medians on."""
+        median = np.median(roughness) if len(roughness) else 0.0
+        if median <= 0:
+            return np.zeros_like(roughness)
+        return np.clip((roughness / median - 1) / (self.rough - 1), 0.0, 1.0)
 
 
 @dataclass(frozen=True)
