@@ -24,7 +24,7 @@ from excavatwin.scene.grid import Grid
 from excavatwin.scene.observations import Georeference, Lattice, Observations, Unplaced, View
 from excavatwin.scene.progress import silent
 from excavatwin.scene.site import FusedPoints, Site
-from excavatwin.survey import fingerprint, records
+from excavatwin.survey import fingerprint, memory, records
 from excavatwin.survey.cache import StageCache, cache_folder, opened
 from excavatwin.survey.pipeline import check_target, map_photos
 
@@ -315,6 +315,18 @@ def test_observations_survive_the_cache(tmp_path: Path) -> None:
     assert back.views[0].lattice is None
     np.testing.assert_array_equal(back.up, obs.up)
     assert (back.georeference, back.metres_per_unit, back.source) == (obs.georeference, 2.5, obs.source)
+
+
+def test_memory_is_estimated_before_it_runs_out(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need = memory.estimate(4, 8, 0.75)
+    monkeypatch.setattr(memory, "available", lambda: need * 0.8)
+    assert any("memory" in warning for warning in run(photos).run["warnings"])
+    monkeypatch.setattr(memory, "available", lambda: need * 0.5)
+    CALLS.clear()
+    with pytest.raises(InputError, match="fewer photos"):
+        run(photos)
+    assert not CALLS
+    assert memory.estimate(75, 640) > memory.estimate(23, 640) > memory.estimate(23, 320)
 
 
 def test_fingerprints_tell_stages_values_and_twins_apart() -> None:

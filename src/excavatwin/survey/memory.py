@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from excavatwin.errors import InputError
+
 #: Interpreter, libraries and compiled kernels [bytes].
 _FLOOR = 450e6
 #: Work arrays of structure from motion and of dense matching at a lattice of 640 x 480 [bytes].
@@ -14,9 +16,25 @@ _PER_PIXEL = 28 + 130
 
 
 def estimate(photos: int, lattice: int = 640, aspect: float = 0.75) -> float:
-    """Peak memory of `map` for so many photos on so long a lattice [bytes]; measured on sites of 18 to 75 photos."""
+    """Peak memory of `map` for so many photos on so long a lattice [bytes]; measured on 14, 23 and 75 photos: within 20 %."""
     pixels = lattice * lattice * aspect
     return _FLOOR + _WORKING * pixels / (640 * 480) + photos * pixels * _PER_PIXEL
+
+
+def check(photos: int, lattice: int, aspect: float) -> tuple[str, ...]:
+    """A warning where memory is short; a refusal where it cannot do.
+
+    Raises:
+        InputError: so many photos need half as much memory again as there is.
+    """
+    need, free = estimate(photos, lattice, aspect), available()
+    if free is None or need <= free:
+        return ()
+    advice = "map fewer photos at a time, or give a smaller --photogrammetry.lattice"
+    figures = f"{photos} photos need about {need / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB are available"
+    if need > 1.5 * free:
+        raise InputError(f"{figures}; {advice}.")
+    return (f"{figures}: should the run be killed, {advice}.",)
 
 
 def available() -> float | None:

@@ -17,7 +17,7 @@ from excavatwin.scene.observations import Observations, View
 from excavatwin.scene.photo import Photo
 from excavatwin.scene.progress import Progress, silent
 from excavatwin.scene.site import Site
-from excavatwin.survey import fingerprint, records
+from excavatwin.survey import fingerprint, memory, records
 from excavatwin.survey.cache import StageCache, cache_folder, opened, refused
 from excavatwin.survey.journal import Journal
 
@@ -62,6 +62,8 @@ def map_photos(
             cache.clear()
         found = _capture(source, plan, cache, journal, progress)
         check_references(plan.mapper.scale.references, found.photos)
+        flattest = max(min(photo.width, photo.height) / max(photo.width, photo.height) for photo in found.photos)
+        journal.note(*memory.check(len(found.photos), plan.photogrammetry.lattice, flattest))
         hashes = fingerprint.of_files([photo.path for photo in found.photos], progress)
         obs = _observe(found.photos, hashes, plan, cache, journal, progress)
         obs = replace(obs, unplaced=(*found.skipped, *obs.unplaced))
