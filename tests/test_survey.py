@@ -26,7 +26,8 @@ from excavatwin.scene.progress import silent
 from excavatwin.scene.site import FusedPoints, Site
 from excavatwin.survey import fingerprint, memory, records
 from excavatwin.survey.cache import StageCache, cache_folder, opened
-from excavatwin.survey.pipeline import check_target, map_photos
+from excavatwin.survey.checks import check_target
+from excavatwin.survey.pipeline import map_photos
 
 CALLS: Counter[str] = Counter()
 
