@@ -191,7 +191,7 @@ def test_a_wild_gps_fix_is_named_as_an_outlier() -> None:
     wrong[5] += [300, -200, 50]
     placed = upright(site(poses, ground(np.random.default_rng(0))), photographed(wrong))
     assert error_of(placed, poses) < 0.05
-    assert any("1 position(s) were rejected" in doubt for doubt in placed.doubts)
+    assert any("1 GPS position(s)" in doubt for doubt in placed.doubts)
 
 
 def test_a_hand_camera_around_a_small_heap_keeps_its_arbitrary_unit() -> None:

@@ -19,6 +19,10 @@ MOST_TILT = 2.0
 """GPS positions decide the vertical only when they fix it to this [deg]."""
 MOST_SCALE = 0.15
 """GPS positions give the scale only when they fix it to this (one standard deviation)."""
+WORTH_TILT = 0.3
+"""A vertical that is better known than this is no doubt worth a sentence [deg]."""
+WORTH_SCALE = 0.005
+"""The same of the scale."""
 
 
 def upright(placement: Placement, photos: Sequence[Photo]) -> Placement:
@@ -39,7 +43,8 @@ def upright(placement: Placement, photos: Sequence[Photo]) -> Placement:
     up, whole = _vertical(centres[used], world, local, doubts)
     R = rotation_between(up.direction, np.array([0.0, 0.0, 1.0]))
     flat = _level(centres[used] @ R.T, world, doubts) if epsg is not None else None
-    doubts.append(f"The vertical comes from {_said(up.source)} and is good to about {up.doubt:.1f} degrees.")
+    if up.doubt > WORTH_TILT:
+        doubts.append(f"The vertical comes from {_said(up.source)} and is good to about {up.doubt:.1f} degrees.")
     if flat is None or epsg is None:
         origin = np.median(placement.points.xyz, axis=0) if len(placement.points.xyz) else centres.mean(0)
         moved = _moved(placement, 1.0, R, -R @ origin)
@@ -118,10 +123,13 @@ def _level(
         )
         return None
     rejected = int((~fit.inliers).sum())
-    doubts.append(
-        f"Scale from GPS positions that the cameras fit to {fit.residual:.2f} m horizontally: good to about {doubt:.1%}"
-        + (f"; {rejected} position(s) were rejected as outliers." if rejected else ".")
-    )
+    if rejected:
+        doubts.append(f"{rejected} GPS position(s) that disagree with the others were not used.")
+    if doubt > WORTH_SCALE:
+        doubts.append(
+            f"Scale from GPS positions that the cameras fit to {fit.residual:.2f} m horizontally: good to about "
+            f"{doubt:.1%}."
+        )
     return _with_height(fit, centres, world, middle, doubts)
 
 
