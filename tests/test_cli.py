@@ -105,7 +105,7 @@ def test_doctor_estimates_memory() -> None:
 )
 def test_wrong_words_are_answered_with_one_sentence(words: list[str], said: str, tmp_path: Path) -> None:
     assert said in sentence(cli(*words, cwd=tmp_path))
-    assert not (tmp_path / "site").exists()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_config_prints_toml_that_config_takes_back(tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_photos_without_a_map_are_refused(fill: Callable[[Path], None], tmp_path
     before = sorted(photos.iterdir())
     sentence(cli("map", photos, "-o", tmp_path / "site"))
     assert sorted(photos.iterdir()) == before
-    assert not (tmp_path / "site").exists()
+    assert list(tmp_path.iterdir()) == [photos]
 
 
 # --- observations ---------------------------------------------------------------------------------------------------

@@ -127,7 +127,11 @@ def opened(root: Path) -> Iterator[StageCache]:
                 ) from None
         cache = StageCache(root)
         cache.sweep()
-        yield cache
+        try:
+            yield cache
+        finally:
+            if not any(path.is_file() for path in root.glob("*/**/*")):  # nothing came of it
+                _remove(root)
 
 
 @contextlib.contextmanager

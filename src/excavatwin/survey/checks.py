@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,9 +30,10 @@ def check_target(folder: Path) -> None:
         raise InputError(
             f"{folder} holds other files ({min(foreign)}) and no earlier map; choose an empty or a new folder for -o."
         )
-    with refused(folder):
-        folder.absolute().parent.mkdir(parents=True, exist_ok=True)
-        probe = folder.absolute().parent / f".{folder.name}.probe"
+    target = folder.absolute()
+    existing = next(parent for parent in target.parents if parent.exists())
+    with refused(target):
+        probe = existing / f".{folder.name}.{os.getpid()}.probe"
         probe.touch()
         probe.unlink()
 
