@@ -7,22 +7,22 @@ from excavatwin.cli.mapping import Changes, Config
 
 def layers_command() -> None:
     """The layers of a map and the classes, with their ids."""
-    import textwrap
+    import re
 
-    from excavatwin.cli.console import say
-    from excavatwin.scene.elevation_map import LAYERS
-    from excavatwin.scene.taxonomy import NOT_OBSERVED, PALETTE, Reason, Support, TaskClass, class_name
+    from excavatwin.cli.console import say, wrapped
+    from excavatwin.export import describe_layers
+    from excavatwin.scene.taxonomy import NOT_OBSERVED, PALETTE, TaskClass, class_name
 
     lines = ["Layers of map.nc, rows from north to south:"]
-    for layer in LAYERS:
-        head = f"  {layer.name:<14}{layer.dtype:<9}{layer.unit:<3}fill {layer.fill!s:<5}"
-        lines += textwrap.wrap(layer.meaning, 118, initial_indent=head, subsequent_indent=" " * len(head))
-    lines += ["", "Classes (label):"]
+    for row in describe_layers():
+        head = f"  {row.name:<14}{row.dtype:<8}{row.unit or '-':<3}fill {row.fill:<4} "
+        lines += wrapped(head, row.meaning, 118)
+        ids = re.sub(r"(\d) ", "\\1\u00a0", row.values)  # an id and its name stay on one line
+        lines += wrapped(" " * len(head), ids, 118) if ids else []
+    lines += ["", "Classes and their colours:"]
     for value in (*TaskClass, NOT_OBSERVED):
         red, green, blue = PALETTE[value]
         lines.append(f"  {int(value):>3}  {class_name(value):<22}#{red:02x}{green:02x}{blue:02x}")
-    for title, values in (("Reasons (reason)", Reason), ("Support (support)", Support)):
-        lines += ["", f"{title}:", *(f"  {int(value):>3}  {value.name.lower()}" for value in values)]
     say(*lines)
 
 
