@@ -111,15 +111,26 @@ def bridge_gaps(H: Float32[np.ndarray, "Y X"], gap: float) -> Float32[np.ndarray
     return np.where(distance <= gap, H[tuple(nearest)], np.nan).astype(np.float32)
 
 
-def fill_ground(H: Float32[np.ndarray, "Y X"], terrain: Bool[np.ndarray, "Y X"]) -> Float32[np.ndarray, "Y X"]:
-    """The terrain surface carried on below objects and over gaps: nearest terrain cell, then relaxed to a membrane."""
-    from scipy.ndimage import distance_transform_edt, uniform_filter
+def fill_ground(
+    H: Float32[np.ndarray, "Y X"], terrain: Bool[np.ndarray, "Y X"], smear: int = 0
+) -> Float32[np.ndarray, "Y X"]:
+    """The terrain surface carried on below objects and over gaps: nearest terrain cell, then relaxed to a membrane.
+
+    Terrain within ``smear`` cells of a body may be the smeared foot of its side; it keeps its own height, but is not
+    carried on below the body.
+    """
+    from scipy.ndimage import binary_dilation, distance_transform_edt, uniform_filter
 
     if not terrain.any():
         level = np.nanmedian(H) if np.isfinite(H).any() else 0.0
         return np.full(H.shape, level, np.float32)
-    nearest = distance_transform_edt(~terrain, return_distances=False, return_indices=True)
+    source = terrain
+    if smear > 0:
+        bodies = np.isfinite(H) & ~terrain
+        source = terrain & ~binary_dilation(bodies, np.ones((3, 3)), iterations=smear)
+        source = source if source.any() else terrain
+    nearest = distance_transform_edt(~source, return_distances=False, return_indices=True)
     filled = H[tuple(nearest)].astype(np.float32)
     for size in (15, 9, 5, 3, 3, 3):
-        filled = np.where(terrain, H, uniform_filter(filled, size, mode="nearest")).astype(np.float32)
-    return filled
+        filled = np.where(source, H, uniform_filter(filled, size, mode="nearest")).astype(np.float32)
+    return np.where(terrain, H, filled).astype(np.float32)

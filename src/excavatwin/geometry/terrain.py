@@ -135,9 +135,10 @@ class TerrainEnvelope:
         from excavatwin.kernels.morphology import windowed_extreme
 
         terrain = region > 0
-        ground = fill_ground(reference, terrain)
-        # On a wall a cell holds everything from foot to rim: the rim is the highest terrain among the neighbours.
-        rim = windowed_extreme(np.where(terrain, reference, np.nan).astype(np.float32), 1, True).ravel()[cell]
+        ground = fill_ground(reference, terrain, self.smear)
+        # On a wall a cell holds everything from foot to rim: the rim is the highest terrain around.
+        heights = np.where(terrain, reference, np.nan).astype(np.float32)
+        rim = windowed_extreme(heights, max(1, self.smear - 1), True).ravel()[cell]
         steepness = np.tan(np.minimum(local.slope, np.arctan(2.0)))
         tolerance = voxels.size * (self.step + steepness / 2)
         z = voxels.centre[:, 2]

@@ -24,7 +24,7 @@ class Instances:
 
     radius: float = 4.5
     """Linkage distance [voxels]."""
-    vertical: float = 0.25
+    vertical: float = 0.1
     """What a vertical distance counts in it."""
     min_voxels: int = 12
     """Smallest object."""
