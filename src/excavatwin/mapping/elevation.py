@@ -21,6 +21,8 @@ class Elevation:
 
     prior: float = 0.1
     """Spread that one more, unseen point is taken to have, so that few points never look exact [voxels]."""
+    independent: float = 0.15
+    """Share of a cell's points that count as independent: neighbouring pixels and photos share their matches."""
     floor: float = 0.03
     """Error common to all points of a cell (poses, calibration), which no number of points removes [voxels]."""
 
@@ -41,7 +43,8 @@ class Elevation:
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = (effective * spread**2 + prior**2) / (effective + 1)
             # The median of n normal samples has variance pi/2 sigma^2 / n (asymptotically).
-            sigma = np.sqrt(np.pi / 2 * variance / effective + (self.floor * voxels.size) ** 2)
+            independent = np.maximum(self.independent * effective, np.minimum(effective, 1.0))
+            sigma = np.sqrt(np.pi / 2 * variance / independent + (self.floor * voxels.size) ** 2)
         return H.reshape(cells.grid.shape), sigma.astype(np.float32).reshape(cells.grid.shape)
 
 
