@@ -66,13 +66,13 @@ def metric_table(metrics: Sequence[Metric]) -> list[str]:
             continue  # the same figures once more without shift and tilt: one tells enough here
         one_of_many = re.fullmatch(r"(map_iou|photo_iou|object_\d+_\w+?)_(\w+?)(_error)?", metric.name)
         if one_of_many is None:
-            lines.append(f"  {metric.name:<28}{_value(metric):>10}  {metric.meaning}".rstrip())
+            lines.append(f"  {metric.name:<36}{_value(metric):>10}  {metric.meaning}".rstrip())
         else:
             family, name, error = one_of_many.groups()
             text = f"{metric.meaning} ({metric.value:+.1f} %)" if error else f"{name} {_value(metric)}"
             shared.setdefault(family, []).append(text)
     for family, texts in shared.items():
-        lines += wrapped(f"  {family:<28}", ", ".join(texts), 118)
+        lines += wrapped(f"  {family:<36}", ", ".join(texts), 118)
     return lines
 
 
