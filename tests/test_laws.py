@@ -175,9 +175,10 @@ def test_geometry_suppresses_what_voting_cannot(dig_site) -> None:
 
 
 def test_standard_deviation_is_honest(dig_site_trace) -> None:
-    """On open ground the errors are as large as the map says, within a factor of two."""
+    """On open ground the errors are no larger than the map says, and not much smaller: here every pixel errs on its own,
+    which the map does not assume (docs/decisions/elevation-std.md has the calibration on photos)."""
     m = dig_site_trace.map
     X, Y = np.meshgrid(m.grid.x, m.grid.y)
     open_ground = (np.abs(X + 6.5) < 1.5) & (Y < 0) & (Y > -3) & np.isfinite(m.elevation)
     z = (m.elevation - tiny_site.terrain(X, Y))[open_ground] / m.elevation_std[open_ground]
-    assert 0.3 < np.sqrt(np.mean(z**2)) < 2.0
+    assert 0.15 < np.sqrt(np.mean(z**2)) < 1.0
