@@ -26,7 +26,7 @@ class Admissibility:
     """Support of object classes off the terrain where no component of theirs stands."""
     cover_smooth: float = 0.1
     """Support of removable cover on terrain that is as smooth as most of the scene's: short turf is ground."""
-    rough: float = 5.0
+    rough: float = 12.0
     """Roughness at which terrain is fully cover-like, in medians of the roughness of the scene's terrain."""
     steep: float = 1.2
     """Slope above which terrain is hardly "other" (paved, trodden, turf) terrain but a dug or dumped face [rad]."""
