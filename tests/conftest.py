@@ -6,6 +6,11 @@ import os
 from pathlib import Path
 
 import pytest
+from jaxtyping import install_import_hook
+
+#: Rooms whose annotated shapes and dtypes are checked while tests run; not the kernels, which numba must pickle.
+CHECKED = ("scene", "geometry", "semantics", "mapping", "mapper", "topology", "accumulation", "exchange", "export")
+install_import_hook([f"excavatwin.{room}" for room in CHECKED], "beartype.beartype")
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")
 

@@ -36,12 +36,12 @@ class Objects:
         """Components of excavator and obstacle voxels."""
         J = len(voxels)
         e, phi = accumulate(voxels, evidence)
-        own = e.argmax(axis=1) + 1
+        own = (e.argmax(axis=1) + 1).astype(np.int32)
         standing = local.inlier & ~terrain.member & np.isin(own, OBJECT_CLASSES)
         retained = standing.copy()
         retained[standing] = confidence_filter(phi[standing], e[standing], own[standing], self.q, self.e_min)
         rows = np.flatnonzero(retained)
-        cluster, size = radius_clusters(voxels.centre[rows], self.radius * voxels.size, own[rows].astype(np.int32))
+        cluster, size = radius_clusters(voxels.centre[rows], self.radius * voxels.size, own[rows])
         top = np.full(len(size), -np.inf)
         np.maximum.at(top, cluster, terrain.height[rows])
         keep = (size >= self.min_voxels) & (top >= self.min_height * voxels.size)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int, Int32, UInt8
+from jaxtyping import Float, Float32, Float64, Int32, Integer, UInt8
 
 from excavatwin.mapping.raster import Cells
 from excavatwin.paper import equation
@@ -42,7 +42,7 @@ class CellLabels:
 
 @equation("eq:grid_semantics")
 def grid_votes(
-    label: Int[np.ndarray, "n"],
+    label: Integer[np.ndarray, "n"],
     gamma: Float[np.ndarray, "n"],
     cell: Int32[np.ndarray, "n"],
     n_cells: int,
