@@ -15,6 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Polygon, Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from excavatwin.export.placement import origin_of
 from excavatwin.export.relief import elevation_limits, relief, window
@@ -193,6 +194,7 @@ def _legend(figure: Figure, site: Site, limits: tuple[float, float], height: flo
     colours = ScalarMappable(Normalize(limits[0] + z, limits[1] + z), cmcrameri.cm.batlow)
     colourbar = figure.colorbar(colours, cax=bar, orientation="horizontal")
     colourbar.outline.set_visible(False)
+    colourbar.locator = MaxNLocator(6)
     colourbar.ax.tick_params(labelsize=7.5, length=2, color=_INK, labelcolor=_INK, pad=1.5)
     unit = "m" if m.metric else "unit"
     bar.text(

@@ -48,7 +48,6 @@ def upright(placement: Placement, photos: Sequence[Photo]) -> Placement:
     if flat is None or epsg is None:
         origin = np.median(placement.points.xyz, axis=0) if len(placement.points.xyz) else centres.mean(0)
         moved = _moved(placement, 1.0, R, -R @ origin)
-        doubts.append("The unit of length is arbitrary: give a reference length to make it metric.")
         return replace(moved, up_from=up.source, up_doubt=up.doubt, doubts=tuple(doubts))
     if whole is not None and up.source == "gps":
         scale, R, t, residual = whole.scale, whole.rotation, whole.translation, whole.residual
