@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64, Int32
 
+#: Rounding that a position on the border of a grid may carry [cells].
+HAIR = 1e-6
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -37,8 +40,9 @@ class Grid:
         return self.north - (np.arange(self.rows) + 0.5) * self.cell
 
     def flat_index(self, xy: Float[np.ndarray, "n 2"]) -> Int32[np.ndarray, "n"]:
-        """Row-major cell index of horizontal positions; -1 outside the grid."""
-        col = np.floor((np.asarray(xy[:, 0], float) - self.west) / self.cell).astype(np.int64)
-        row = np.floor((self.north - np.asarray(xy[:, 1], float)) / self.cell).astype(np.int64)
-        inside = (col >= 0) & (col < self.cols) & (row >= 0) & (row < self.rows)
+        """Row-major cell index of horizontal positions; -1 outside the grid. Its border, to a hair, is inside."""
+        col = (np.asarray(xy[:, 0], float) - self.west) / self.cell
+        row = (self.north - np.asarray(xy[:, 1], float)) / self.cell
+        inside = (col >= -HAIR) & (col <= self.cols + HAIR) & (row >= -HAIR) & (row <= self.rows + HAIR)
+        col, row = np.clip(np.floor(col), 0, self.cols - 1), np.clip(np.floor(row), 0, self.rows - 1)
         return np.where(inside, row * self.cols + col, -1).astype(np.int32)
