@@ -42,7 +42,7 @@ class Scale:
         """(s [m per unit of R], whether s is metric, doubts).
 
         Raises:
-            InputError: a reference names an unknown photo, lies outside it, or has no depth near an end.
+            InputError: a reference names an unknown photo, lies outside it, has no depth near an end, or no length.
         """
         if not self.references:
             known = observations.metres_per_unit
@@ -66,7 +66,10 @@ class Scale:
         ends = np.array([reference.a, reference.b], float)
         on_lattice = view.lattice.from_photo(ends) if view.lattice else ends
         p, q = (self._point_at(view, uv, reference) for uv in on_lattice)
-        return float(np.linalg.norm(p - q))
+        distance = float(np.linalg.norm(p - q))
+        if distance == 0:
+            raise InputError(f"--reference has both ends at the same point of {reference.view!r}; give a longer one.")
+        return distance
 
     def _point_at(self, view: View, uv: Float64[np.ndarray, "2"], reference: Reference) -> Float64[np.ndarray, "3"]:
         """The reconstructed point at the pixel nearest to ``uv`` that has one."""
