@@ -101,6 +101,7 @@ def test_doctor_estimates_memory() -> None:
         (["fuse", "nowhere.npz", "-o", "site"], "nowhere.npz"),
         (["layers", "--mapper.decision.tau", "1"], "belong to"),
         (["config", "--config", "nowhere.toml"], "cannot be read"),
+        (["fuse", "o.npz", "-o", "site", "--photogrammetry.lattice", "320"], "no stage photogrammetry"),
     ],
 )
 def test_wrong_words_are_answered_with_one_sentence(words: list[str], said: str, tmp_path: Path) -> None:
@@ -259,6 +260,15 @@ def test_fuse_writes_a_site_and_tells(tmp_path: Path) -> None:
     assert {"map.nc", "elevation.tif", "label.tif", "points.laz", "objects.geojson", "labels"} <= written
     assert {"cameras.json", "preview.png", "run.json"} <= written
     assert sorted(tmp_path.iterdir()) == [tmp_path / "o.npz", site]
+
+
+def test_fuse_takes_labels_in_another_vocabulary(tmp_path: Path) -> None:
+    labels, vocabulary = np.ones((3, 48, 64), np.uint8), np.array(["sky", "earth, ground"])
+    file = observations(tmp_path / "o.npz", evidence=None, labels=labels, vocabulary=vocabulary)
+    assert "--class-mapping ade20k-150" in sentence(cli("fuse", file, "-o", tmp_path / "site"))
+    result = cli("fuse", file, "-o", tmp_path / "site", "--class-mapping", "ade20k-150")
+    assert result.returncode == 0, result.stderr
+    assert set(np.unique(np.array(Image.open(tmp_path / "site" / "labels" / "view_000.png")))) <= {0, 1, 255}
 
 
 NOWHERE = np.full((3, 48, 64, 3), np.nan, np.float32)

@@ -163,8 +163,8 @@ def _open_file(source: Path, frames_dir: Path | None, progress: Progress, sampli
 def _no_photos(folder: Path, files: list[Path]) -> str:
     """Why ``folder`` cannot be used, with what was found in it instead."""
     kinds = sorted({p.suffix.lower() or "files without suffix" for p in files})
-    found = f"only {_spoken(tuple(kinds))}" if kinds else "no files"
-    message = f"{folder} holds {found} but no photos ({_spoken(PHOTO_SUFFIXES)})"
+    found = f"holds only {_spoken(tuple(kinds))} but" if kinds else "holds no files:"
+    message = f"{folder} {found} no photos ({_spoken(PHOTO_SUFFIXES)})"
     inside = sorted(
         sub.name
         for sub in folder.iterdir()

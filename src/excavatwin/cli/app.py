@@ -52,7 +52,9 @@ Every parameter of the mapper is a flag, too: `excavatwin config` lists them.
 
 Examples:
   excavatwin fuse observations.npz -o site
-  excavatwin fuse observations.npz -o site --mapper.decision.tau 0.5"""
+  excavatwin fuse observations.npz -o site --mapper.decision.tau 0.5
+  # labels in the classes of another data set
+  excavatwin fuse observations.npz -o site --class-mapping ade20k-150"""
 
 CONFIG = "Every parameter of every stage with its meaning, as TOML that --config takes."
 

@@ -62,6 +62,7 @@ def fuse_command(
     reference: Reference = None,
     config: Config = None,
     force: Annotated[bool, Parameter(negative="")] = False,
+    class_mapping: str | None = None,
     changes: Changes = None,
 ) -> None:
     """Fuse observations that your own models made, and write the SITE folder.
@@ -78,15 +79,28 @@ def fuse_command(
         TOML file with stage parameters; flags win over it.
     force
         Go on although the points do not reproject onto their own pixels.
+    class_mapping
+        For labels in another vocabulary: task, ade20k-150, coco-panoptic, cityscapes, goose-64, rellis-3d, or a
+        TOML file of your own.
     """
     from excavatwin.cli.console import shown_progress
     from excavatwin.cli.summary import say_result
+    from excavatwin.errors import InputError
     from excavatwin.survey import fuse_observations
 
+    unused = [name for name in changes or {} if name != "mapper"]
     plan = read_plan(config, changes)
+    if unused:
+        raise InputError(f"`fuse` has no stage {unused[0]}: its parameters begin with --mapper.")
     with shown_progress() as progress:
         result = fuse_observations(
-            observations, site, plan=plan, references=parse_references(reference), progress=progress, force=force
+            observations,
+            site,
+            plan=plan,
+            references=parse_references(reference),
+            progress=progress,
+            force=force,
+            mapping=class_mapping,
         )
     say_result(result, site, f"excavatwin fuse {observations} -o {site}")
 

@@ -149,7 +149,10 @@ class _Semantics:
 def _unmapped(named: Sequence[str]) -> str:
     fitting = [name for name in shipped_vocabularies() if read_vocabulary(name).covers(named)]
     if fitting:
-        advice = f"the shipped mapping '{fitting[0]}' covers it: pass mapping='{fitting[0]}' if you agree with it"
+        advice = (
+            f"the shipped mapping '{fitting[0]}' covers it: if you agree with it, give --class-mapping {fitting[0]} "
+            f"(in Python mapping='{fitting[0]}')"
+        )
     else:
         strange = next(n for n in named if canonical(n) not in read_vocabulary("task").mapping.weights)
         advice = f"no shipped mapping covers it (first foreign class: '{strange}'): write a TOML file of your own"
@@ -198,7 +201,7 @@ def _misses(views: Sequence[View], force: bool) -> list[str]:
         if result.median > REFUSED * view.shape[1] and not force:
             raise ObservationError(
                 f"view {i} ('{view.name}'): {_size(result, view)}, more than {REFUSED:.0%} of the image width"
-                f"{_likely(result)}; mend it, or go on all the same with force."
+                f"{_likely(result)}; mend it, or go on all the same with --force (in Python force=True)."
             )
         found.append((i, view, result))
     if not found:

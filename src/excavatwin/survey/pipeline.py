@@ -81,6 +81,7 @@ def fuse_observations(
     references: Sequence[Reference] = (),
     progress: Progress = silent,
     force: bool = False,
+    mapping: Path | str | None = None,
 ) -> Site:
     """Fuse an observations file (``.npz``) or folder that anybody's models made, and write the SITE folder.
 
@@ -91,6 +92,7 @@ def fuse_observations(
         references: known distances between two pixels of a view [m].
         progress: told which stage is at work.
         force: go on although the points do not reproject onto their own pixels.
+        mapping: class mapping for labels in another vocabulary, see ``exchange.load_observations``.
 
     Raises:
         ObservationError: the file breaks its contract; the message names the first thing that is wrong.
@@ -104,7 +106,7 @@ def fuse_observations(
     journal = Journal()
     with journal.stage("load") as row:
         progress("load", 0, 1)
-        obs = load_observations(path, force=force)
+        obs = load_observations(path, force=force, mapping=mapping)
         row["views"] = len(obs.views)
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     hashes = fingerprint.of_files([file for file in files if file.is_file()])
