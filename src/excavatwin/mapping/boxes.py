@@ -57,4 +57,5 @@ def smallest_rectangle(hull: Float64[np.ndarray, "h 2"]) -> Rectangle:
     centre = np.array([c[best] * middle[0] - s[best] * middle[1], s[best] * middle[0] + c[best] * middle[1]])
     a, b = extent[:, best]
     angle = np.degrees(angles[best]) + (0.0 if a >= b else 90.0)
-    return Rectangle(centre, float(max(a, b)), float(min(a, b)), float((angle + 90.0) % 180.0 - 90.0))
+    yaw = float((angle + 90.0) % 180.0 - 90.0)  # a hair below -90 comes out as +90
+    return Rectangle(centre, float(max(a, b)), float(min(a, b)), yaw if yaw < 90.0 else -90.0)
