@@ -187,3 +187,11 @@ def test_a_folder_that_lists_what_is_not_there(tmp_path):
     (tmp_path / "views.json").write_text("{")
     with pytest.raises(ObservationError, match="not valid JSON"):
         load_observations(tmp_path)
+
+
+def test_keys_that_are_not_read_are_said(contract, tmp_path):
+    spare = {"metre_per_unit": 0.5, "labels": np.ones(contract["points"].shape[:3], np.uint8)}
+    np.savez(tmp_path / "a.npz", **(contract | spare))
+    doubts = load_observations(tmp_path / "a.npz").doubts
+    assert any("metre_per_unit" in doubt and "misspelt" in doubt for doubt in doubts)
+    assert any("labels were not used" in doubt for doubt in doubts)

@@ -237,13 +237,13 @@ def test_run_record_names_versions_config_inputs_times_and_doubts(photos: Path) 
 
 def test_reference_is_checked_before_anything_is_computed(photos: Path) -> None:
     for reference, words in (
-        (Reference("IMG_1.jpeg", (1, 1), (2, 2), 3.0), "did you mean 'IMG_1.jpg'"),
-        (Reference("IMG_1.jpg", (1, 1), (90, 2), 3.0), "outside"),
+        (Reference("IMG_1.jpeg", (1.0, 1.0), (2.0, 2.0), 3.0), "did you mean 'IMG_1.jpg'"),
+        (Reference("IMG_1.jpg", (1.0, 1.0), (90.0, 2.0), 3.0), "outside"),
     ):
         with pytest.raises(InputError, match=words):
             run(photos, references=[reference])
     assert not CALLS["place"]
-    run(photos, references=[Reference("IMG_1.jpg", (1, 1), (20, 2), 3.0)])
+    run(photos, references=[Reference("IMG_1.jpg", (1.0, 1.0), (20.0, 2.0), 3.0)])
 
 
 def test_foreign_folder_is_not_replaced(photos: Path) -> None:

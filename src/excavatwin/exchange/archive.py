@@ -31,6 +31,8 @@ class Archive:
     """Per view: key of ``PER_VIEW`` -> array without the leading axis."""
     shared: dict[str, Any]
     """Key of ``SHARED`` -> array or JSON value; ``provenance`` is parsed."""
+    unread: tuple[str, ...] = ()
+    """Keys that the file holds and the contract does not know: a misspelt one would else go unnoticed."""
 
 
 def read_archive(path: Path) -> Archive:
@@ -43,7 +45,7 @@ def read_archive(path: Path) -> Archive:
         return _read_folder(path)
     if not path.exists():
         raise ObservationError(f"there is no observations file {path}; give an .npz, or a folder with {VIEWS}.")
-    arrays = _read_npz(path, (*PER_VIEW, *SHARED))
+    arrays, unread = _read_npz(path, (*PER_VIEW, *SHARED))
     _require(arrays, ("points", "confidence", "T_world_cam", "K"), path)
     if arrays["points"].ndim != 4:
         raise ObservationError(
@@ -60,7 +62,7 @@ def read_archive(path: Path) -> Archive:
     shared = {key: arrays[key] for key in SHARED if key in arrays}
     if "provenance" in shared:
         shared["provenance"] = _parse(str(shared["provenance"]), path, "provenance")
-    return Archive(views, shared)
+    return Archive(views, shared, unread)
 
 
 def _read_folder(folder: Path) -> Archive:
@@ -75,18 +77,21 @@ def _read_folder(folder: Path) -> Archive:
     if not isinstance(listed, list):
         raise ObservationError(f"{index} has no list 'views'; give one entry with 'file' and 'name' for each view.")
     views = []
+    unread = dict.fromkeys(key for key in table if key not in (*SHARED, "views"))
     for i, entry in enumerate(listed):
         file = entry.get("file") if isinstance(entry, dict) else None
         if not isinstance(file, str) or not (folder / file).is_file():
             raise ObservationError(f"{index}: view {i} names the file {file!r}, which is not in {folder}.")
-        arrays = _read_npz(folder / file, PER_VIEW)
+        arrays, foreign = _read_npz(folder / file, PER_VIEW)
+        unread.update(dict.fromkeys(foreign))
         _require(arrays, ("points", "confidence", "T_world_cam", "K"), folder / file)
         arrays["names"] = np.array(str(entry.get("name", Path(file).stem)))
         views.append(arrays)
-    return Archive(views, {key: table[key] for key in SHARED if table.get(key) is not None})
+    return Archive(views, {key: table[key] for key in SHARED if table.get(key) is not None}, tuple(unread))
 
 
-def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
+def _read_npz(path: Path, keys: tuple[str, ...]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """The arrays of ``keys`` that the file holds, and the names of what else it holds."""
     try:
         with path.open("rb") as file:  # opened here: numpy leaves a damaged file open
             archive = np.load(file, allow_pickle=False)
@@ -107,7 +112,7 @@ def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
         raise ObservationError(f"{path} is not an .npz file, or it is damaged ({error}).") from None
     if "points" not in arrays:
         raise ObservationError(f"{path.name} has no 'points'; it has: {', '.join(stored) or 'nothing'}.")
-    return arrays
+    return arrays, tuple(key for key in stored if key not in keys)
 
 
 def _require(arrays: dict[str, np.ndarray], keys: tuple[str, ...], path: Path) -> None:

@@ -54,7 +54,7 @@ def load_observations(path: str | Path, force: bool = False, mapping: str | Path
         _view(record, f"view {i} ('{names[i]}')", names[i], semantics, provenance)
         for i, record in enumerate(archive.views)
     )
-    doubts = dict.fromkeys(provenance.doubts)
+    doubts = dict.fromkeys((*provenance.doubts, *_unread(archive)))
     doubts.update(dict.fromkeys((*_absences(views), *_misses(views, force))))
     up, scale = archive.shared.get("up"), archive.shared.get("metres_per_unit")
     return Observations(
@@ -176,6 +176,15 @@ def _view(record: dict[str, Any], where: str, name: str, semantics: _Semantics, 
         image=checked_image(record["images"], shape, where) if "images" in record else None,
         lattice=provenance.lattices.get(name),
     )
+
+
+def _unread(archive: Archive) -> list[str]:
+    """What the file holds in vain."""
+    both = any({"evidence", "labels"} <= record.keys() for record in archive.views)
+    doubts = ["The observations hold evidence and labels; the labels were not used."] if both else []
+    if archive.unread:
+        doubts.append(f"The observations hold keys that were not read: {_listed(archive.unread)} (misspelt?).")
+    return doubts
 
 
 def _absences(views: Sequence[View]) -> list[str]:
