@@ -209,7 +209,9 @@ def test_a_site_folder_gives_the_figures_of_its_site(tmp_path) -> None:
     direct, read = figures(evaluate_site(site, truth)), figures(evaluate_site(tmp_path / "site", truth))
     assert direct.keys() == read.keys()
     for name, value in direct.items():
-        assert read[name] == pytest.approx(value, abs=0.2 if "%" in name or "error" in name else 2e-3, nan_ok=True), name
+        assert read[name] == pytest.approx(value, abs=0.2 if "%" in name or "error" in name else 2e-3, nan_ok=True), (
+            name
+        )
 
 
 def test_overlap_of_rectangles() -> None:

@@ -175,8 +175,8 @@ def test_geometry_suppresses_what_voting_cannot(dig_site) -> None:
 
 
 def test_standard_deviation_is_honest(dig_site_trace) -> None:
-    """On open ground the errors are no larger than the map says, and not much smaller: here every pixel errs on its own,
-    which the map does not assume (docs/decisions/elevation-std.md has the calibration on photos)."""
+    """On open ground the errors are no larger than the map says, and not much smaller: here every pixel errs on its
+    own, which the map does not assume (docs/decisions/elevation-std.md has the calibration on photos)."""
     m = dig_site_trace.map
     X, Y = np.meshgrid(m.grid.x, m.grid.y)
     open_ground = (np.abs(X + 6.5) < 1.5) & (Y < 0) & (Y > -3) & np.isfinite(m.elevation)
