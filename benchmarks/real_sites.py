@@ -4,8 +4,8 @@
 
 FOLDER holds the shared data sets (default: the folder ``shared/data`` beside the clone, or $EXCAVATWIN_DATA). Every set
 is mapped from scratch with the defaults in a process of its own. Ground is "seen" by a photo when the surface of the
-map (carried on over gaps) projects into it at no more than the footprint that the map accepts; occlusion is ignored,
-so the coverage stated is a lower bound. Forest and water count as ground, too.
+map (carried on over gaps) projects into it; what every photo sees only from too far away or too flatly for the map does
+not count. Occlusion is ignored, so the coverage stated is a lower bound. Forest and water count as ground, too.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from pathlib import Path
 import numpy as np
 import xarray
 
+from excavatwin.backbones.photogrammetry import Photogrammetry
 from excavatwin.geometry.envelope import fill_ground
+from excavatwin.mapping.raster import Raster
 from excavatwin.scene.frames import project
-from excavatwin.semantics.projection import Correspondence
 
 EXCAVATION = [f"IMG_{n}.jpg" for n in (*range(9400, 9408), *range(9414, 9431))]
 SETS = {
@@ -53,11 +54,13 @@ def coverage(site: Path, views: int = 3) -> float:
         K, T = np.array(photo["K"]), np.array(photo["T_map_cam"])
         uv, z = project(K, T, p)
         inside = (z > 0) & (uv > 0).all(axis=1) & (uv[:, 0] < photo["width"]) & (uv[:, 1] < photo["height"])
-        footprint = np.where(inside, np.linalg.norm(p - T[:3, 3], axis=1) / K[0, 0], np.inf)
+        ray = T[:3, 3] - p
+        length = np.linalg.norm(ray, axis=1)
+        lattice = max(photo["width"], photo["height"]) / Photogrammetry().lattice
+        extent = lattice * length / K[0, 0] * length / np.maximum(np.abs(ray[:, 2]), 1e-6)
         seen += inside
-        finest = np.minimum(finest, footprint)
-    limit = Correspondence().max_footprint * np.median(finest[observed.ravel()])
-    wanted = (seen >= views) & (finest <= limit)
+        finest = np.minimum(finest, np.where(inside, extent, np.inf))
+    wanted = (seen >= views) & (finest <= Raster().max_extent * step)
     return float(observed.ravel()[wanted].mean())
 
 
