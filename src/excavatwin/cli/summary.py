@@ -86,7 +86,7 @@ def _elevation(m: ElevationMap) -> str:
     low, high = np.nanpercentile(m.elevation, (1, 99))
     base = m.georeference.origin[2] if m.georeference else 0.0
     std = (
-        f", standard deviation {np.nanmedian(m.elevation_std):.2g} {m.unit}"
+        f", standard deviation within the map {np.nanmedian(m.elevation_std):.2g} {m.unit}"
         if np.isfinite(m.elevation_std).any()
         else ""
     )
