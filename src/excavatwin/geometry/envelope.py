@@ -71,15 +71,17 @@ def steep_rims(
     H: Float32[np.ndarray, "Y X"], blob: Int32[np.ndarray, "Y X"], reach: int, allowed: float
 ) -> Float32[np.ndarray, "R"]:
     """Share of every blob's rim (ids from 0, -1 = outside all) that drops by more than ``allowed`` within ``reach``
-    cells outside all blobs. Stereo smears a sharp step over two or three cells, so neighbours alone do not tell."""
+    cells outside all blobs. Stereo smears a sharp step over two or three cells, so neighbours alone do not tell.
+    Rims at the edge of the map may be steep or not: they count by one half."""
     from excavatwin.kernels.morphology import disc_drop, windowed_extreme
 
     n = int(blob.max(initial=-1)) + 1
+    inside = np.pad(blob >= 0, 1).astype(np.float32)
+    border = (blob >= 0) & (windowed_extreme(inside, 1, False)[1:-1, 1:-1] == 0)
     around = np.isfinite(H) & (blob < 0)
-    facing = windowed_extreme(around.astype(np.float32), 1, True) > 0  # rims at the edge of the map tell nothing
-    rim = (blob >= 0) & facing
+    rim = border & (windowed_extreme(around.astype(np.float32), 1, True) > 0)
     steep = rim & (disc_drop(H, around, reach) > allowed)
-    rims = np.bincount(blob[rim], minlength=n)
+    rims = np.bincount(blob[rim], minlength=n) + 0.5 * np.bincount(blob[border & ~rim], minlength=n)
     return (np.bincount(blob[steep], minlength=n) / np.maximum(rims, 1)).astype(np.float32)
 
 
