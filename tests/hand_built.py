@@ -28,7 +28,8 @@ def voxels_at(centre: np.ndarray, size: float, S: int = 1, evidence: np.ndarray 
         xyz=centre[voxel], confidence=np.ones(S * J, np.float32),
         evidence=np.zeros((S * J, K), np.float32) if evidence is None else np.asarray(evidence, np.float32),
         rgb=np.full((J, 3), 128, np.float32), footprint=np.full(J, size / 2, np.float32),
-        centres=np.stack([np.array([s - S / 2, -3.0, 20.0]) for s in range(S)]),
+        centres=np.array([*np.median(centre[:, :2], axis=0), centre[:, 2].max()], float)
+        + np.stack([np.array([s - S / 2, -3.0, 20.0]) for s in range(S)]),
         neighbours=np.zeros((J, 0), np.int32), distances=np.zeros((J, 0), np.float32),
     )  # fmt: skip
 

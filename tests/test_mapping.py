@@ -298,6 +298,17 @@ def test_outliers_do_not_widen_the_map() -> None:
     assert cells.of_sample.tolist() == [8, 3, -1]
 
 
+def test_what_is_seen_from_afar_or_flatly_is_no_part_of_the_map() -> None:
+    voxels = voxels_at(np.array([[0.05, 0.05, 0], [0.15, 0.05, 0], [60.05, 0.05, 0], [0.25, 0.05, 0]]), 0.1, S=2)
+    voxels = replace(voxels, centres=np.array([[0, 0, 10.0], [0, 1, 10.0]]),
+                     footprint=np.array([0.05, 0.19, 0.05, 0.21], np.float32))  # fmt: skip
+    cells = Raster(max_extent=2.0)(voxels, flat_local(4))
+    assert cells.of_sample.tolist() == [0, 1, -1, -1] * 2  # the third under 10 degrees, the fourth by coarse pixels
+    assert Raster(max_extent=30.0)(voxels, flat_local(4)).grid.cols == 601
+    with pytest.raises(InputError, match="no voxel is seen closely enough"):
+        Raster(max_extent=0.1)(voxels, flat_local(4))
+
+
 @pytest.mark.parametrize(
     ("stage", "message"),
     [
