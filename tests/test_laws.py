@@ -10,9 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tiny_site
-from excavatwin.mapper import Mapper
+from excavatwin.errors import InputError
+from excavatwin.geometry.voxelize import Voxelize
+from excavatwin.mapper import Mapper, rescaled
+from excavatwin.mapping.raster import Raster
 from excavatwin.scene.frames import rotation_between
-from excavatwin.scene.observations import Observations, View
+from excavatwin.scene.observations import Georeference, Observations, View
 from excavatwin.scene.taxonomy import Reason
 from excavatwin.semantics.admissibility import AdmitAll
 from excavatwin.semantics.decision import Decision, decide, score
@@ -182,3 +185,21 @@ def test_standard_deviation_is_honest(dig_site_trace) -> None:
     open_ground = (np.abs(X + 6.5) < 1.5) & (Y < 0) & (Y > -3) & np.isfinite(m.elevation)
     z = (m.elevation - tiny_site.terrain(X, Y))[open_ground] / m.elevation_std[open_ground]
     assert 0.15 < np.sqrt(np.mean(z**2)) < 1.0
+
+
+def test_a_reference_length_against_gps_shows_in_the_residual(dig_site) -> None:
+    tie = Georeference(32632, (690000.0, 5330000.0, 500.0), residual=0.5)
+    tied = replace(dig_site, georeference=tie)
+    assert rescaled(tied, 1.0) == tie
+    moved = 0.1 * np.sqrt(np.mean([(view.centre**2).sum() for view in tied.views]))
+    assert rescaled(tied, 1.1).residual == pytest.approx(np.hypot(0.5, moved))
+    assert rescaled(dig_site, 1.1) is None
+
+
+@pytest.mark.parametrize(
+    ("stage", "name", "value"),
+    [(Decision, "tau", 7.0), (Decision, "tau", float("nan")), (Raster, "cell", 0.0), (Voxelize, "size", -1.0)],
+)
+def test_a_parameter_out_of_range_is_refused(stage, name: str, value: float) -> None:
+    with pytest.raises(InputError, match=rf"{stage.__name__}\.{name} is .*; expected"):
+        stage(**{name: value})

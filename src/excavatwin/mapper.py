@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ParamSpec, TypeVar
 
 import numpy as np
@@ -15,7 +15,7 @@ from excavatwin.geometry.local_geometry import CovarianceFeatures, NoLocalGeomet
 from excavatwin.geometry.objects import NoObjects, Objects
 from excavatwin.geometry.outliers import KeepAll, Outliers
 from excavatwin.geometry.scale import Scale
-from excavatwin.geometry.terrain import TerrainEnvelope
+from excavatwin.geometry.terrain import PointwiseTerrain, TerrainEnvelope
 from excavatwin.geometry.voxelize import Voxelize
 from excavatwin.mapping.assembly import assemble, cell_support
 from excavatwin.mapping.cell_labels import CellLabels
@@ -24,7 +24,7 @@ from excavatwin.mapping.instances import Instances
 from excavatwin.mapping.occupancy import Occupancy
 from excavatwin.mapping.raster import Raster
 from excavatwin.paper import equation
-from excavatwin.scene.observations import Observations
+from excavatwin.scene.observations import Georeference, Observations
 from excavatwin.scene.progress import Progress, silent
 from excavatwin.scene.site import FusedPoints, MappedView, Site
 from excavatwin.scene.taxonomy import NOT_OBSERVED, Support
@@ -50,7 +50,7 @@ class Mapper:
     voxelize: Voxelize = Voxelize()
     local_geometry: CovarianceFeatures | NoLocalGeometry = CovarianceFeatures()
     outliers: Outliers | KeepAll = Outliers()
-    terrain: TerrainEnvelope = TerrainEnvelope()
+    terrain: TerrainEnvelope | PointwiseTerrain = TerrainEnvelope()
     consistency: Consistency | KeepEvidence = Consistency()
     objects: Objects | NoObjects = Objects()
     reliability: Reliability | Uniform = Reliability()
@@ -92,7 +92,7 @@ class Mapper:
         doubts = (*observations.doubts, *tilted, *unsure)
         support = cell_support(cells, voxels, terrain)
         site_map = assemble(
-            cells, elevation, semantics, occupied, support, metric, observations.georeference, doubts
+            cells, elevation, semantics, occupied, support, metric, rescaled(observations, s), doubts
         )  # eq:multilayer_map
         return Trace(
             observations=observations, T_M_R=T_M_R, points=points, voxels=voxels, local=local, terrain=terrain,
@@ -111,6 +111,15 @@ def similarity(s: float, R_G_R: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarra
     T_M_R = np.eye(4)
     T_M_R[:3, :3] = s * R_G_R
     return T_M_R
+
+
+def rescaled(observations: Observations, s: float) -> Georeference | None:
+    """The georeference after a reference length changed the scale: what that moves the cameras by is residual, too."""
+    tie, known = observations.georeference, observations.metres_per_unit
+    if tie is None or known is None or s == known:
+        return tie
+    moved = (s - known) * np.array([view.centre for view in observations.views])
+    return replace(tie, residual=float(np.hypot(tie.residual, np.sqrt((moved**2).sum(axis=1).mean()))))
 
 
 def site_of(trace: Trace) -> Site:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from excavatwin.accumulation import accumulate
+from excavatwin.errors import require
 from excavatwin.paper import equation
 from excavatwin.scene.support import LocalGeometry, ObjectSupport, Terrain
 from excavatwin.scene.taxonomy import OBJECT_CLASSES
@@ -29,6 +30,11 @@ class Objects:
     """Smallest component."""
     min_height: float = 2.0
     """Least height above the terrain that a component must reach [voxels]."""
+
+    def __post_init__(self) -> None:
+        require(self, "q", 0.0, 1.0)
+        require(self, "e_min", 0.0, 1.0)
+        require(self, "radius", 0.0, open_low=True)
 
     def __call__(
         self, voxels: Voxels, evidence: Float32[np.ndarray, "M K"], local: LocalGeometry, terrain: Terrain

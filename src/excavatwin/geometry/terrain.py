@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
+from excavatwin.errors import require
 from excavatwin.geometry.envelope import (
     bridge_gaps,
     continuity_regions,
@@ -54,6 +55,12 @@ class TerrainEnvelope:
     the rim of a pit does, the side of a body does not."""
     min_region: float = 3.0
     """Smallest terrain region, as the edge of a square [voxels]; smaller ones are discarded."""
+
+    def __post_init__(self) -> None:
+        require(self, "percentile", 0.0, 1.0)
+        require(self, "window", 0.0, open_low=True)
+        require(self, "window_share", 0.0, 1.0)
+        require(self, "smear", 1)
 
     def __call__(self, voxels: Voxels, local: LocalGeometry, metric: bool) -> Terrain:
         """Terrain and non-terrain support of every voxel."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from excavatwin.errors import InputError
+from excavatwin.errors import InputError, require
 from excavatwin.scene.points import Points
 from excavatwin.scene.voxels import Voxels
 from excavatwin.topology import nearest_neighbours
@@ -26,11 +26,16 @@ class Voxelize:
     k: int = 24
     """Neighbours of the topology."""
 
+    def __post_init__(self) -> None:
+        require(self, "footprints", 0.0, open_low=True)
+        require(self, "size", 0.0, open_low=True)
+        require(self, "k", 3)
+
     def __call__(self, points: Points, metric: bool) -> Voxels:
         """Voxels in ascending grid order; voxel boundaries lie at multiples of the size.
 
         Raises:
-            InputError: there are too few points, or the voxel size is not positive.
+            InputError: there are too few points, or the voxels are too small for the scene.
         """
         from excavatwin.kernels.voxel_hash import group_by_view, group_keys, group_means, pack
 
@@ -39,8 +44,6 @@ class Voxelize:
             if self.size is not None
             else nice_size(self.footprints * float(np.median(points.footprint)), metric)
         )
-        if not size > 0:
-            raise InputError(f"the voxel size is {size}; expected a positive length in metres.")
         index = np.floor(points.xyz / np.float32(size)).astype(np.int64)
         index -= index.min(axis=0)
         if index.max() >= 1 << 21:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int32, Integer, UInt8
 
+from excavatwin.errors import require
 from excavatwin.mapping.raster import Cells
 from excavatwin.paper import equation
 from excavatwin.scene.labels import Labels
@@ -20,6 +21,9 @@ class CellLabels:
 
     gamma_min: float = 0.1
     """Minimum voting weight."""
+
+    def __post_init__(self) -> None:
+        require(self, "gamma_min", 0.0, 1.0)
 
     def __call__(
         self, cells: Cells, voxels: Voxels, labels: Labels

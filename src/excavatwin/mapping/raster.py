@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
-from excavatwin.errors import InputError
+from excavatwin.errors import InputError, require
 from excavatwin.scene.grid import Grid
 from excavatwin.scene.support import LocalGeometry
 from excavatwin.scene.voxels import Voxels
@@ -38,17 +38,20 @@ class Raster:
     max_cells: int = 60_000_000
     """Largest map that is made."""
 
+    def __post_init__(self) -> None:
+        require(self, "cell", 0.0, open_low=True)
+        require(self, "max_extent", 0.0, open_low=True)
+        require(self, "max_cells", 1)
+
     def __call__(self, voxels: Voxels, local: LocalGeometry) -> Cells:
         """Grid over all inliers that are seen closely enough, with their cells.
 
         Raises:
-            InputError: the cell is not positive, or the map would be too large.
+            InputError: nothing is seen closely enough, or the map would be too large.
         """
         from excavatwin.kernels.cells import group_rows
 
         edge = voxels.size if self.cell is None else self.cell
-        if not edge > 0:
-            raise InputError(f"the map cell is {edge}; expected a positive length in metres.")
         mapped = (local.inlier & (ground_extent(voxels) <= self.max_extent * voxels.size))[voxels.voxel]
         if not mapped.any():
             raise InputError("no voxel is seen closely enough to be mapped; raise mapper.raster.max_extent.")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
+from excavatwin.errors import require
 from excavatwin.scene.support import LocalGeometry, ObjectSupport, Terrain
 from excavatwin.scene.taxonomy import K, TaskClass
 from excavatwin.scene.voxels import Voxels
@@ -30,6 +31,11 @@ class Admissibility:
     """Roughness at which terrain is fully cover-like, in medians of the roughness of the scene's terrain."""
     steep: float = 1.2
     """Slope above which terrain is hardly "other" (paved, trodden, turf) terrain but a dug or dumped face [rad]."""
+
+    def __post_init__(self) -> None:
+        require(self, "doubtful", 0.0, 1.0)
+        require(self, "cover_smooth", 0.0, 1.0)
+        require(self, "rough", 1.0, open_low=True)
 
     def __call__(
         self, voxels: Voxels, local: LocalGeometry, terrain: Terrain, objects: ObjectSupport | None

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from excavatwin.accumulation import accumulate
+from excavatwin.errors import require
 from excavatwin.scene.support import Terrain
 from excavatwin.scene.taxonomy import TERRAIN_CLASSES, K
 from excavatwin.scene.voxels import Voxels
@@ -33,6 +34,11 @@ class Consistency:
     """Farthest anchor that may lend its class [voxels]."""
     decay: float = 0.8
     """Share of the anchor's evidence that a candidate receives next to it; falls linearly to zero at ``reach``."""
+
+    def __post_init__(self) -> None:
+        require(self, "epsilon", 0.0, open_low=True)
+        require(self, "reach", 0.0, open_low=True)
+        require(self, "decay", 0.0, 1.0)
 
     def __call__(
         self, voxels: Voxels, evidence: Float32[np.ndarray, "M K"], terrain: Terrain

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from excavatwin.errors import require
 from excavatwin.paper import equation
 from excavatwin.scene.labels import Labels
 from excavatwin.scene.taxonomy import Reason
@@ -24,6 +25,12 @@ class Decision:
     """Decision threshold."""
     least: float = 0.08
     """Total vote below which an unknown is put down to too little evidence."""
+
+    def __post_init__(self) -> None:
+        require(self, "lambda_v", 0.0)
+        require(self, "epsilon", 0.0, open_low=True)
+        require(self, "tau", 0.0, 1.0)
+        require(self, "least", 0.0)
 
     def __call__(self, v: Float32[np.ndarray, "J K"], g: Float32[np.ndarray, "J K"]) -> Labels:
         """Label, confidence and reason of every voxel."""
