@@ -104,7 +104,7 @@ def test_somebody_elses_folder_is_refused(site, tmp_path, quick):
     ("code", "message"),
     [
         (errno.ENOSPC, "the disk is full; free some space"),
-        (errno.EROFS, "the place is read-only"),
+        (errno.EROFS, "it is read-only for you"),
         (errno.EIO, "Input/output error"),
     ],
 )

@@ -20,7 +20,9 @@ def cameras_table(site: Site, label_files: Mapping[str, str]) -> dict[str, Any]:
     the same camera that label images and points live on: ``(x, y)_lattice = affine @ (x, y, 1)_photo``.
     """
     return {
-        "conventions": "T_map_cam: camera to map, OpenCV axes (x right, y down, z forward); pixel centres at +0.5",
+        "conventions": "T_map_cam: camera to map, OpenCV axes (x right, y down, z forward); pixel centres at +0.5; "
+        "K and distortion (OpenCV k1, k2, p1, p2) are of the photo as displayed; undistort a photo pixel first, then "
+        "affine gives its place on the lattice, of which the label image is",
         "frame": frame_sentence(site.map),
         "unit": site.map.unit,
         "cameras": [

@@ -113,6 +113,10 @@ class Observations:
     source: dict[str, str] = field(default_factory=dict)
     """Provenance: reconstructor, segmenter, versions, class mapping."""
 
+    def __repr__(self) -> str:
+        scale = f"{self.metres_per_unit:g} m a unit" if self.metres_per_unit is not None else "no scale"
+        return f"Observations({len(self.views)} views, {scale}, {'up known' if self.up is not None else 'up unknown'})"
+
     def view(self, name: str) -> View | None:
         """The view of that name, or None."""
         return next((view for view in self.views if view.name == name), None)

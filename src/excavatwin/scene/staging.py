@@ -126,13 +126,17 @@ def _explained(target: Path) -> Iterator[None]:
     except OutputError:
         raise
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            why = "the disk is full; free some space or choose another place"
-        elif error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
-            why = "the place is read-only for you; choose another"
-        else:
-            why = f"{error.strerror or error}; choose another place"
+        why = refusal(error, "another place")
         raise OutputError(f"{target} could not be written: {why}; what was there before is untouched.") from error
+
+
+def refusal(error: OSError, elsewhere: str) -> str:
+    """Why a file system refused to write, and what to do: free space, or choose ``elsewhere``."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return f"the disk is full; free some space or choose {elsewhere}"
+    if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
+        return f"it is read-only for you; choose {elsewhere}"
+    return f"{error.strerror or error}; choose {elsewhere}"
 
 
 def _sync_file(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Trace: every intermediate noun of one run of the mapper, so that nobody needs to derive it again."""
+"""Trace: the intermediate nouns of one run of the mapper, so that nobody needs to derive them again."""
 
 from __future__ import annotations
 
@@ -37,3 +37,8 @@ class Trace:
     map: ElevationMap
     seconds: dict[str, float]
     """Wall time of every stage [s]."""
+
+    def __repr__(self) -> str:
+        m = self.map
+        size = f"{m.grid.rows} x {m.grid.cols} cells of {m.grid.cell:g} {m.unit}"
+        return f"Trace({len(self.points)} points, {len(self.voxels)} voxels, {size}, {len(m.objects)} objects)"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from excavatwin.errors import InputError, OutputError
+from excavatwin.scene.staging import refusal
 
 T = TypeVar("T")
 _PART = ".part"
@@ -146,13 +147,8 @@ def refused(target: Path) -> Iterator[None]:
     except OutputError:
         raise
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            why = "the disk is full; free some space, or choose another -o, and run the same command again to resume"
-        elif error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
-            why = "it is read-only for you; choose another -o"
-        else:
-            why = f"{error.strerror or error}; choose another -o"
-        raise OutputError(f"{target.parent} cannot be written: {why}.") from error
+        why = refusal(error, "another -o")
+        raise OutputError(f"{target.parent} cannot be written: {why}; the same command resumes.") from error
 
 
 def _remove(path: Path) -> None:
