@@ -5,20 +5,22 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
-_BITS = 21
-
 
 def _cells(xyz: Float32[np.ndarray, "n 3"], edge: float) -> tuple[Int64[np.ndarray, "n 3"], np.ndarray]:
     """Integer cells of edge ``edge`` with coordinates >= 1, and the corner of cell 0."""
+    from excavatwin.kernels.voxel_hash import BITS
+
     origin = xyz.min(axis=0).astype(np.float64) - edge
     cell = np.floor((xyz - origin) / edge).astype(np.int64)
-    if cell.max(initial=0) >= (1 << _BITS) - 1:
+    if cell.max(initial=0) >= (1 << BITS) - 1:
         raise ValueError(f"{edge} is too small a cell for an extent of {np.ptp(xyz, axis=0).max():.3g}")
     return cell, origin
 
 
 def _sorted_keys(cell: Int64[np.ndarray, "n 3"]) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
-    key = (cell[:, 0] << (2 * _BITS)) | (cell[:, 1] << _BITS) | cell[:, 2]
+    from excavatwin.kernels.voxel_hash import pack
+
+    key = pack(cell)
     order = np.argsort(key, kind="stable")
     return order, key[order]
 
