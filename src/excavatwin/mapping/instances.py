@@ -42,8 +42,8 @@ class Instances:
         radius = self.radius * voxels.size
         kind = labels.label[rows].astype(np.int32)
         cluster, size = radius_clusters(flattened, radius, kind)
-        host = self.hosts(cluster, size, *radius_clusters(flattened, radius))
-        body = host[cluster]
+        touching, _ = radius_clusters(flattened, radius)
+        body = self.hosts(cluster, size, touching)[cluster]
         label = labels.label.copy()
         first = np.full(len(size), -1, np.int64)
         first[cluster[::-1]] = rows[::-1]
@@ -53,11 +53,11 @@ class Instances:
         return of_voxel, replace(labels, label=label)
 
     def hosts(
-        self, cluster: Int32[np.ndarray, "n"], size: Int64[np.ndarray, "c"], blob: Int32[np.ndarray, "n"], _: object
+        self, cluster: Int32[np.ndarray, "n"], size: Int64[np.ndarray, "c"], touching: Int32[np.ndarray, "n"]
     ) -> Int32[np.ndarray, "c"]:
         """Body that every component belongs to: the largest of its touching group, when it is a fragment of it."""
         group = np.zeros(len(size), np.int32)
-        group[cluster] = blob
+        group[cluster] = touching
         largest = np.zeros(int(group.max(initial=-1)) + 1, np.int32)
         ascending = np.argsort(size, kind="stable")
         largest[group[ascending]] = ascending  # the last write wins: the largest
