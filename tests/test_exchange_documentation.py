@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from excavatwin.exchange import load_observations, read_vocabulary, shipped_vocabularies
+from excavatwin.exchange import load_observations
 from excavatwin.exchange.archive import PER_VIEW, SHARED
+from excavatwin.vocabularies import read_vocabulary, shipped_vocabularies
 from site_example import example_observations
 from test_exchange_roundtrip import plain
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from excavatwin.exchange.reading import load_observations
-from excavatwin.exchange.vocabulary import Vocabulary, read_vocabulary, shipped_vocabularies
 from excavatwin.exchange.writing import save_observations
 
-__all__ = ["Vocabulary", "load_observations", "read_vocabulary", "save_observations", "shipped_vocabularies"]
+__all__ = ["load_observations", "save_observations"]

@@ -25,9 +25,9 @@ from excavatwin.exchange.checks import (
 )
 from excavatwin.exchange.provenance import Provenance, parse_provenance
 from excavatwin.exchange.reprojection import REFUSED, REPORTED, Reprojection, reprojection
-from excavatwin.exchange.vocabulary import Vocabulary, canonical, read_vocabulary, shipped_vocabularies
 from excavatwin.scene.observations import Observations, View
 from excavatwin.scene.taxonomy import K as CLASSES
+from excavatwin.vocabularies import Vocabulary, canonical, read_vocabulary, shipped_vocabularies
 
 
 def load_observations(path: str | Path, force: bool = False, mapping: str | Path | None = None) -> Observations:

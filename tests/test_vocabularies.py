@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from excavatwin.errors import InputError, ObservationError
-from excavatwin.exchange import load_observations, read_vocabulary, shipped_vocabularies
-from excavatwin.exchange.vocabulary import canonical
+from excavatwin.exchange import load_observations
 from excavatwin.scene.taxonomy import TaskClass
+from excavatwin.vocabularies import canonical, read_vocabulary, shipped_vocabularies
 from site_example import example_observations
 from test_exchange_roundtrip import plain
 

@@ -55,7 +55,7 @@ def canonical(name: str) -> str:
 
 def shipped_vocabularies() -> tuple[str, ...]:
     """Names of the class mappings that come with ExcavaTwin."""
-    folder = files("excavatwin.exchange") / "class_mappings"
+    folder = files("excavatwin.vocabularies") / "class_mappings"
     return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
 
 
@@ -70,7 +70,7 @@ def read_vocabulary(source: str | Path) -> Vocabulary:
         InputError: no such vocabulary or file, or the file breaks this form.
     """
     if str(source) in shipped_vocabularies():
-        text = (files("excavatwin.exchange") / "class_mappings" / f"{source}.toml").read_text("utf-8")
+        text = (files("excavatwin.vocabularies") / "class_mappings" / f"{source}.toml").read_text("utf-8")
     else:
         try:
             text = Path(source).read_text("utf-8")

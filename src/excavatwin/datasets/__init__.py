@@ -1,0 +1,1 @@
+"""Datasets: one file per data set, from its official layout to our nouns; ground truth as optional fields."""
