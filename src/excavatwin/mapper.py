@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -38,6 +38,8 @@ from excavatwin.semantics.vote import Vote
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Memory = dict[tuple[Any, ...], tuple[Any, tuple[Any, ...]]]
+"""Stage and its arguments -> what it made of them."""
 
 
 @dataclass(frozen=True)
@@ -63,16 +65,20 @@ class Mapper:
     cell_labels: CellLabels = CellLabels()
     occupancy: Occupancy = Occupancy()
 
-    def trace(self, observations: Observations, progress: Progress = silent) -> Trace:
+    def trace(self, observations: Observations, progress: Progress = silent, memory: Memory | None = None) -> Trace:
         """Run the method and keep every intermediate noun.
+
+        Args:
+            memory: of earlier runs on the same observations; what an equal stage made of the same nouns is taken over,
+                so that variants of the mapper share what they have in common.
 
         Raises:
             InputError: the observations cannot be mapped as they are.
         """
-        do = _Steps(progress)
+        do = _Steps(progress, {} if memory is None else memory, memory is not None)
         R_G_R, tilted = do("gravity", self.gravity, observations)
         s, metric, unsure = do("scale", self.scale, observations)
-        T_M_R = similarity(s, R_G_R)
+        T_M_R = do("frame", similarity, s, R_G_R)
         points = do("points", self.correspondence, observations, T_M_R)  # eq:gc_correspondence
         voxels = do("voxels", self.voxelize, points, metric)
         local = do("local geometry", self.local_geometry, voxels)  # eq:cov
@@ -154,13 +160,21 @@ class _Steps:
     """Runs the stages one after the other, tells the listener where it is and notes how long each took."""
 
     progress: Progress
+    memory: Memory
+    remember: bool
     seconds: dict[str, float] = field(default_factory=dict)
-    stages: int = 18
+    stages: int = 19
 
     def __call__(self, name: str, stage: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         self.progress(f"fusion: {name}", len(self.seconds), self.stages)
         start = time.perf_counter()
-        result = stage(*args, **kwargs)
+        key = (stage, *(arg if isinstance(arg, (bool, float)) else id(arg) for arg in args))
+        if self.remember and key in self.memory:
+            result = self.memory[key][0]
+        else:
+            result = stage(*args, **kwargs)
+            if self.remember:
+                self.memory[key] = (result, args)  # the arguments are kept so that their ids stay theirs
         self.seconds[name] = time.perf_counter() - start
         self.progress(f"fusion: {name}", len(self.seconds), self.stages)
         return result
