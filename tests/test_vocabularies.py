@@ -81,7 +81,7 @@ def test_named_vocabulary_in_any_order(contract, tmp_path):
     np.testing.assert_array_equal(loaded.views[0].evidence[labels == 1][0], [0, 0, 1, 0, 0])
     np.testing.assert_array_equal(loaded.views[0].evidence[labels == 2][0], [1, 0, 0, 0, 0])
     assert loaded.views[0].evidence[labels == 0].max() == 0
-    assert loaded.source == {"class_mapping": "ade20k-150", "class_mapping_policy": "A diggable"}
+    assert loaded.source == {"class_mapping": "ade20k-150", "class_mapping_policy": "diggable"}
 
 
 def test_ids_of_a_mapping_without_a_vocabulary(contract, tmp_path):
@@ -139,3 +139,46 @@ def test_bad_mapping_files(text, message, tmp_path):
 def test_unknown_mapping_lists_the_shipped_ones():
     with pytest.raises(InputError, match="neither a readable TOML file nor one of the shipped ones: ade20k-150, city"):
         read_vocabulary("ade")
+
+
+# --- policies -------------------------------------------------------------------------------------------------------
+
+STRICT = {
+    "goose-64": {"gravel": 2, "low grass": 2, "rock": 1, "debris": 5},
+    "rellis-3d": {"grass": 2, "rubble": 5, "log": 5},
+    "ade20k-150": {"grass": 2, "rock": 1},
+    "coco-panoptic": {"gravel": 2, "grass-merged": 2, "rock-merged": 1},
+}
+
+
+@pytest.mark.parametrize("name", STRICT)
+def test_the_strict_policy_differs_where_it_says(name):
+    diggable, strict = read_vocabulary(name), read_vocabulary(name, policy="strict")
+    assert (diggable.policy, strict.policy) == ("diggable", "strict")
+    assert diggable.names == strict.names
+    other = {c: w for c, w in strict.mapping.weights.items() if w != diggable.mapping.weights[c]}
+    assert other == {c: {TaskClass(k): 1.0} for c, k in STRICT[name].items()}
+    assert read_vocabulary(f"{name}:strict").mapping.weights == strict.mapping.weights
+    assert read_vocabulary(f"{name}:diggable").mapping.weights == diggable.mapping.weights
+
+
+def test_the_policy_reaches_evidence_and_provenance(contract, tmp_path):
+    path = labelled(contract, tmp_path / "a.npz", ids([24]))  # gravel
+    loaded = load_observations(path, mapping="goose-64:strict")
+    np.testing.assert_array_equal(loaded.views[0].evidence[0, 0], [0, 1, 0, 0, 0])
+    assert loaded.source == {"class_mapping": "goose-64", "class_mapping_policy": "strict"}
+
+
+def test_unknown_policies_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no policy 'lenient'; it has: diggable, strict"):
+        read_vocabulary("goose-64:lenient")
+    with pytest.raises(InputError, match="no policy 'strict'; it has: identity"):
+        read_vocabulary("task", policy="strict")
+    with pytest.raises(InputError, match="asked for policy 'strict' and for 'diggable'"):
+        read_vocabulary("goose-64:strict", policy="diggable")
+    own = tmp_path / "own.toml"
+    own.write_text('[classes]\na = "obstacle"\n[policies.mine]\nb = "excavator"\n')
+    with pytest.raises(InputError, match=r"\[policies.mine\] maps 'b'"):
+        read_vocabulary(own, policy="mine")
+    own.write_text('[classes]\na = "obstacle"\n[policies.mine]\na = "excavator"\n')
+    assert read_vocabulary(f"{own}:mine").mapping.weights["a"] == {TaskClass.EXCAVATOR: 1.0}

@@ -80,8 +80,8 @@ def fuse_command(
     force
         Go on although the points do not reproject onto their own pixels.
     class_mapping
-        For labels in another vocabulary: task, ade20k-150, coco-panoptic, cityscapes, goose-64, rellis-3d, or a
-        TOML file of your own.
+        For labels in another vocabulary: task, ade20k-150, coco-panoptic, cityscapes, goose-64, rellis-3d (after
+        them, ":strict" for that policy instead of "diggable"), or a TOML file of your own.
     """
     from excavatwin.cli.console import shown_progress
     from excavatwin.cli.summary import say_result

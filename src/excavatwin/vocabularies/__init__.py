@@ -1,13 +1,14 @@
 """Named vocabularies: the classes of a segmenter by id, and the task class that each one votes for.
 
-The shipped ones are readable TOML files in ``class_mappings/``; a user's own file has the same form.
+The shipped ones are readable TOML files in ``class_mappings/``; a user's own file has the same form. Which task class a
+class belongs to is a choice that scores depend on, so each choice is a named policy.
 """
 
 from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -59,16 +60,31 @@ def shipped_vocabularies() -> tuple[str, ...]:
     return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
 
 
-def read_vocabulary(source: str | Path) -> Vocabulary:
+def read_vocabulary(source: str | Path, policy: str | None = None) -> Vocabulary:
     """A shipped vocabulary by name, or a TOML file by path.
 
     The file has ``[classes]``, in the order of the ids, each ``name = "task_class"``, ``name = "nothing"`` (never
-    votes) or ``name = { task_class = weight }`` with weights in [0, 1]; optional ``name``, ``policy``, ``ids`` (when
-    they do not count 0, 1, 2, ...) and ``[aliases]``.
+    votes) or ``name = { task_class = weight }`` with weights in [0, 1]; optional ``name``, ``policy`` (the name of
+    this mapping), ``ids`` (when they do not count 0, 1, 2, ...), ``[aliases]``, and a table ``[policies.NAME]`` with
+    the classes that another policy maps otherwise. The shipped ones have "diggable" (what a bucket can take is
+    construction terrain) and "strict" (laid gravel and turf are not; rock is; debris is an obstacle).
+
+    Args:
+        source: name or path; ``"goose-64:strict"`` names the policy, too.
+        policy: which policy; by default the one of ``[classes]``.
 
     Raises:
-        InputError: no such vocabulary or file, or the file breaks this form.
+        InputError: no such vocabulary, file or policy, or the file breaks this form.
     """
+    if isinstance(source, str) and ":" in source and not Path(source).exists():
+        source, _, named = source.rpartition(":")
+        if policy not in (None, named):
+            raise InputError(f"class mapping {source} is asked for policy {named!r} and for {policy!r}; name one.")
+        policy = named
+    return _vocabulary(_table(source), str(source), policy)
+
+
+def _table(source: str | Path) -> dict[str, Any]:
     if str(source) in shipped_vocabularies():
         text = (files("excavatwin.vocabularies") / "class_mappings" / f"{source}.toml").read_text("utf-8")
     else:
@@ -80,13 +96,12 @@ def read_vocabulary(source: str | Path) -> Vocabulary:
                 f"class mapping {str(source)!r} is neither a readable TOML file nor one of the shipped ones: {names}."
             ) from None
     try:
-        table = tomllib.loads(text)
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"class mapping {source} is not valid TOML: {error}.") from None
-    return _vocabulary(table, str(source))
 
 
-def _vocabulary(table: dict[str, Any], source: str) -> Vocabulary:
+def _vocabulary(table: dict[str, Any], source: str, policy: str | None) -> Vocabulary:
     classes = table.get("classes")
     if not isinstance(classes, dict) or not classes:
         raise InputError(f'class mapping {source} has no table [classes]; write one line per class: grass = "..." .')
@@ -95,6 +110,8 @@ def _vocabulary(table: dict[str, Any], source: str) -> Vocabulary:
         if canonical(name) in weights:
             raise InputError(f"class mapping {source} names {name!r} twice (compared as {canonical(name)!r}).")
         weights[canonical(name)] = _weights(target, name, source)
+    first = str(table.get("policy", "own"))
+    weights |= _otherwise(table, source, first, policy, weights)
     for alias, name in table.get("aliases", {}).items():
         if canonical(str(name)) not in weights:
             raise InputError(f"class mapping {source}: alias {alias!r} stands for {name!r}, which is not in [classes].")
@@ -106,9 +123,23 @@ def _vocabulary(table: dict[str, Any], source: str) -> Vocabulary:
             "give one whole number >= 0 for each, all different."
         )
     name = str(table.get("name", Path(source).stem))
-    return Vocabulary(
-        ClassMapping(name, weights), dict(zip(ids, classes, strict=True)), str(table.get("policy", "own"))
-    )
+    return Vocabulary(ClassMapping(name, weights), dict(zip(ids, classes, strict=True)), policy or first)
+
+
+def _otherwise(
+    table: dict[str, Any], source: str, first: str, policy: str | None, classes: Collection[str]
+) -> dict[str, dict[TaskClass, float]]:
+    """What ``[policies.policy]`` maps otherwise than ``[classes]``; nothing for the first policy."""
+    policies = table.get("policies", {})
+    if policy is None or policy == first:
+        return {}
+    changes = policies.get(policy) if isinstance(policies, dict) else None
+    if not isinstance(changes, dict):
+        raise InputError(f"class mapping {source} has no policy {policy!r}; it has: {', '.join((first, *policies))}.")
+    strange = next((name for name in changes if canonical(name) not in classes), None)
+    if strange is not None:
+        raise InputError(f"class mapping {source}: [policies.{policy}] maps {strange!r}, which is not in [classes].")
+    return {canonical(name): _weights(target, name, source) for name, target in changes.items()}
 
 
 def _weights(target: object, name: str, source: str) -> dict[TaskClass, float]:
