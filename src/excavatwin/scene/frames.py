@@ -49,3 +49,18 @@ def project(
     with np.errstate(divide="ignore", invalid="ignore"):
         uv = p_cam[..., :2] / z[..., None] * np.array([K_cam[0, 0], K_cam[1, 1]]) + K_cam[:2, 2]
     return uv, z
+
+
+def umeyama(
+    source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"], weight: Float64[np.ndarray, "n"]
+) -> tuple[float, Float64[np.ndarray, "d d"], Float64[np.ndarray, "d"]]:
+    """Weighted least-squares similarity (Umeyama, PAMI 1991): scale, rotation, translation."""
+    w = weight / weight.sum()
+    a, b = w @ source, w @ target
+    A, B = source - a, target - b
+    U, D, Vt = np.linalg.svd((B * w[:, None]).T @ A)
+    sign = np.ones(len(D))
+    sign[-1] = np.sign(np.linalg.det(U) * np.linalg.det(Vt)) or 1.0
+    R = (U * sign) @ Vt
+    scale = float((D * sign).sum() / max((w[:, None] * A**2).sum(), 1e-300))
+    return scale, R, b - scale * R @ a

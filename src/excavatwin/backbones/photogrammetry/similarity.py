@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from excavatwin.scene.frames import umeyama
+
 TRIALS = 300
 """Random minimal sets of the robust start."""
 CORRELATED = 3.0
@@ -30,21 +32,6 @@ class Similarity:
     def apply(self, p: Float64[np.ndarray, "*n d"]) -> Float64[np.ndarray, "*n d"]:
         """Points of the source frame in the target frame."""
         return self.scale * p @ self.rotation.T + self.translation
-
-
-def umeyama(
-    source: Float64[np.ndarray, "n d"], target: Float64[np.ndarray, "n d"], weight: Float64[np.ndarray, "n"]
-) -> tuple[float, Float64[np.ndarray, "d d"], Float64[np.ndarray, "d"]]:
-    """Weighted least-squares similarity (Umeyama, PAMI 1991): scale, rotation, translation."""
-    w = weight / weight.sum()
-    a, b = w @ source, w @ target
-    A, B = source - a, target - b
-    U, D, Vt = np.linalg.svd((B * w[:, None]).T @ A)
-    sign = np.ones(len(D))
-    sign[-1] = np.sign(np.linalg.det(U) * np.linalg.det(Vt)) or 1.0
-    R = (U * sign) @ Vt
-    scale = float((D * sign).sum() / max((w[:, None] * A**2).sum(), 1e-300))
-    return scale, R, b - scale * R @ a
 
 
 def fit_similarity(
