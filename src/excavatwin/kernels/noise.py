@@ -71,3 +71,16 @@ def noise_raster(
         for col in range(x.size):
             out[row, col] = octaves(x[col], y[row], 0.0, longest, ratio, gain, count, 0.0, seed)
     return out
+
+
+@njit(cache=True)
+def noise_points(
+    points: Float32[np.ndarray, "n 3"], longest: float, ratio: float, gain: float, count: int, seed: int
+) -> Float32[np.ndarray, "n"]:
+    """The octave sum at points of space; 0 where a point is NaN."""
+    out = np.zeros(len(points), np.float32)
+    for i in range(len(points)):
+        x, y, z = points[i]
+        if np.isfinite(x + y + z):
+            out[i] = octaves(x, y, z, longest, ratio, gain, count, 0.0, seed)
+    return out
