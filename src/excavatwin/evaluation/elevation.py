@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from excavatwin.evaluation.frame import cell_centres, nearest, true_height, true_label
+from excavatwin.evaluation.alignment import Alignment, cell_at, cell_centres
+from excavatwin.evaluation.frame import true_height, true_label
 from excavatwin.evaluation.metric import Metric
 from excavatwin.scene.elevation_map import ElevationMap
 from excavatwin.scene.taxonomy import TERRAIN_CLASSES
@@ -22,19 +23,18 @@ def ground_sampling_distance(truth: Truth) -> float:
 
 
 def elevation_errors(
-    m: ElevationMap, truth: Truth, offset: Float64[np.ndarray, "3"]
+    m: ElevationMap, truth: Truth, alignment: Alignment
 ) -> tuple[Float64[np.ndarray, "Y X"], Bool[np.ndarray, "Y X"]]:
     """Map minus truth at the map's cell centres [m], NaN where not scored; and where the truth has terrain on top."""
-    x, y = cell_centres(m.grid, offset)
+    x, y = cell_centres(m.grid, alignment)
     reference = true_height(truth, x, y)
     terrain = np.isin(true_label(truth, x, y), TERRAIN_CLASSES) & np.isfinite(reference)
-    return np.where(terrain, m.elevation + offset[2] - reference, np.nan), terrain
+    return np.where(terrain, m.elevation + alignment.shift[2] - reference, np.nan), terrain
 
 
-def completeness(m: ElevationMap, truth: Truth, offset: Float64[np.ndarray, "3"]) -> float:
+def completeness(m: ElevationMap, truth: Truth, alignment: Alignment) -> float:
     """Share of the truth's terrain cells whose place has an elevation in the map, 0..1."""
-    x, y = np.meshgrid(truth.grid.x - offset[0], truth.grid.y - offset[1])
-    index = nearest(m.grid, x, y)
+    index = cell_at(m, truth, alignment)
     known = (index >= 0) & np.isfinite(m.elevation.ravel()[np.maximum(index, 0)])
     terrain = np.isin(truth.label, TERRAIN_CLASSES)
     return float(known[terrain].mean()) if terrain.any() else float("nan")
@@ -68,17 +68,17 @@ def spread(name: str, error: Float64[np.ndarray, "n"], gsd: float, when: str) ->
     )  # fmt: skip
 
 
-def elevation_metrics(m: ElevationMap, truth: Truth, offset: Float64[np.ndarray, "3"]) -> tuple[Metric, ...]:
+def elevation_metrics(m: ElevationMap, truth: Truth, alignment: Alignment) -> tuple[Metric, ...]:
     """Errors as the map stands, and again after an extra vertical shift and tilt (``elevation_fitted_*``)."""
-    errors, _ = elevation_errors(m, truth, offset)
+    errors, _ = elevation_errors(m, truth, alignment)
     scored = np.isfinite(errors)
-    x, y = (axis[scored] for axis in cell_centres(m.grid, offset))
+    x, y = (axis[scored] for axis in cell_centres(m.grid, alignment))
     gsd = ground_sampling_distance(truth)
     figures = [
         Metric("gsd", gsd, "m", "footprint of a photo's pixel at the scene's centre"),
         *spread("elevation", errors[scored], gsd, ""),
         Metric(
-            "elevation_completeness", 100 * completeness(m, truth, offset), "%", "share of the terrain with a height"
+            "elevation_completeness", 100 * completeness(m, truth, alignment), "%", "share of the terrain with a height"
         ),
     ]
     if scored.sum() >= 3:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, UInt8
+from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
 from excavatwin.errors import InputError
 from excavatwin.scene.elevation_map import ElevationMap
@@ -36,12 +36,6 @@ def offset_to_truth(m: ElevationMap, truth: Truth) -> Float64[np.ndarray, "3"]:
     return np.array(ours.origin, float) - np.array(theirs.origin, float)
 
 
-def cell_centres(grid: Grid, offset: Float64[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
-    """x and y of a map's cell centres in the truth's frame, each (Y, X) [m]."""
-    x, y = np.meshgrid(grid.x + offset[0], grid.y + offset[1])
-    return x, y
-
-
 def nearest(grid: Grid, x: np.ndarray, y: np.ndarray) -> Int64[np.ndarray, "*n"]:
     """Flat index of the cell of each position, -1 outside."""
     xy = np.stack([np.ravel(x), np.ravel(y)], axis=-1)
@@ -56,14 +50,27 @@ def true_label(truth: Truth, x: np.ndarray, y: np.ndarray) -> UInt8[np.ndarray, 
 
 def true_height(truth: Truth, x: np.ndarray, y: np.ndarray) -> Float64[np.ndarray, "*n"]:
     """Bilinear terrain height at positions of the truth's frame; NaN outside its outermost cell centres [m]."""
-    g, z = truth.grid, truth.height.astype(float)
-    u = (np.asarray(x) - g.west) / g.cell - 0.5
-    v = (g.north - np.asarray(y)) / g.cell - 0.5
-    tiny = 1e-9  # a position on the last centre is inside, whatever rounding says
-    inside: Bool[np.ndarray, "*n"] = (u >= -tiny) & (v >= -tiny) & (u <= g.cols - 1 + tiny) & (v <= g.rows - 1 + tiny)
-    i = np.clip(np.floor(u).astype(int), 0, g.cols - 2)
-    j = np.clip(np.floor(v).astype(int), 0, g.rows - 2)
+    return bilinear(truth.grid, truth.height, x, y)
+
+
+def bilinear(grid: Grid, values: Float[np.ndarray, "Y X"], x: np.ndarray, y: np.ndarray) -> Float64[np.ndarray, "*n"]:
+    """Raster values between cell centres; NaN outside the outermost ones and where a cell that counts has none."""
+    z = values.astype(float)
+    u = (np.asarray(x) - grid.west) / grid.cell - 0.5
+    v = (grid.north - np.asarray(y)) / grid.cell - 0.5
+    tiny = 1e-9  # a position on a cell centre is inside, and counts that cell alone, whatever rounding says
+    near_u, near_v = np.round(u), np.round(v)
+    u, v = np.where(np.abs(u - near_u) < tiny, near_u, u), np.where(np.abs(v - near_v) < tiny, near_v, v)
+    inside: Bool[np.ndarray, "*n"] = (u >= 0) & (v >= 0) & (u <= grid.cols - 1) & (v <= grid.rows - 1)
+    i = np.clip(np.floor(u).astype(int), 0, max(grid.cols - 2, 0))
+    j = np.clip(np.floor(v).astype(int), 0, max(grid.rows - 2, 0))
     u, v = np.clip(u - i, 0, 1), np.clip(v - j, 0, 1)
-    north = z[j, i] * (1 - u) + z[j, i + 1] * u
-    south = z[j + 1, i] * (1 - u) + z[j + 1, i + 1] * u
-    return np.where(inside, north * (1 - v) + south * v, np.nan)
+    right, below = np.minimum(i + 1, grid.cols - 1), np.minimum(j + 1, grid.rows - 1)
+    north = _between(z[j, i], z[j, right], u)
+    south = _between(z[below, i], z[below, right], u)
+    return np.where(inside, _between(north, south, v), np.nan)
+
+
+def _between(a: np.ndarray, b: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Linear interpolation in which an end of weight 0 does not count, NaN or not."""
+    return np.where(t == 0, a, np.where(t == 1, b, a * (1 - t) + b * t))

@@ -74,20 +74,23 @@ def match(
     return chosen
 
 
-def object_metrics(mapped: Sequence[MapObject], truth: Truth, offset: Float64[np.ndarray, "3"]) -> tuple[Metric, ...]:
+def object_metrics(mapped: Sequence[MapObject], truth: Truth) -> tuple[Metric, ...]:
     """Recall, precision and errors of position and size, over all matched objects and for each one.
+
+    Args:
+        mapped: the map's objects in the truth's frame (``Alignment.moved``).
 
     A size error is positive when the map's box is too large.
     """
-    pairs = match(mapped, truth.objects, offset)
+    pairs = match(mapped, truth.objects, np.zeros(3))
     ours, theirs = [mapped[i] for i, _, _ in pairs], [truth.objects[j] for _, j, _ in pairs]
     size = np.array([a.size for a in ours]).reshape(-1, 3)
     true_size = np.array([b.size for b in theirs]).reshape(-1, 3)
     error = np.abs(size - true_size)
     gsd = ground_sampling_distance(truth)
     resolved = true_size[:, 1] >= (RESOLVED * gsd if np.isfinite(gsd) else 0.0)  # without photos every object counts
-    apart = [np.hypot(*(np.array(a.centre[:2]) + offset[:2] - b.centre[:2])) for a, b in zip(ours, theirs, strict=True)]
-    tops = [abs(a.z_top + offset[2] - b.z_top) for a, b in zip(ours, theirs, strict=True)]
+    apart = [np.hypot(*(np.array(a.centre[:2]) - b.centre[:2])) for a, b in zip(ours, theirs, strict=True)]
+    tops = [abs(a.z_top - b.z_top) for a, b in zip(ours, theirs, strict=True)]
     right = [a.task_class == b.task_class for a, b in zip(ours, theirs, strict=True)]
     return (
         Metric("object_recall", 100 * share(pairs, truth.objects), "%", f"of {len(truth.objects)} true objects"),

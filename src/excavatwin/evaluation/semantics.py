@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
-from excavatwin.evaluation.frame import nearest
+from excavatwin.evaluation.alignment import Alignment, cell_at
 from excavatwin.evaluation.metric import Metric
 from excavatwin.evaluation.selective import RiskCoverage, risk_coverage, selective_metrics
 from excavatwin.scene.elevation_map import ElevationMap
@@ -129,12 +129,15 @@ def semantic_scores(
     return (*figures, *selective_metrics(name, predicted, true, confidence, place, forced))
 
 
-def map_confusion(m: ElevationMap, truth: Truth, offset: Float64[np.ndarray, "3"]) -> Int64[np.ndarray, "K K+1"]:
-    """Every cell of the truth against the map's cell at its centre; outside the map there is no class."""
-    x, y = np.meshgrid(truth.grid.x - offset[0], truth.grid.y - offset[1])
-    index = nearest(m.grid, x, y)
-    predicted = np.where(index >= 0, m.label.ravel()[np.maximum(index, 0)], NOT_OBSERVED)
-    return confusion(predicted.ravel(), truth.label.ravel())
+def map_scores(m: ElevationMap, truth: Truth, alignment: Alignment, policy: str = TASK_POLICY) -> tuple[Metric, ...]:
+    """Every cell of the truth against the map's cell at its centre, with its confidence; outside there is no class."""
+    index = cell_at(m, truth, alignment)
+    inside, index = index >= 0, np.maximum(index, 0)
+    predicted = np.where(inside, m.label.ravel()[index], NOT_OBSERVED).astype(np.uint8)
+    confidence = np.where(inside, m.confidence.ravel()[index], 0.0)
+    return semantic_scores(
+        predicted.ravel(), truth.label.ravel(), confidence.ravel(), name="map", place="the truth's cells", policy=policy
+    )
 
 
 def view_labels_at_truth(view: MappedView, true: ViewTruth) -> UInt8[np.ndarray, "h w"]:

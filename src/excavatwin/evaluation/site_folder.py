@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,10 +71,14 @@ def _object(feature: dict[str, Any], origin: np.ndarray) -> MapObject:
     )
 
 
-def load_views(folder: Path) -> tuple[MappedView, ...]:
+def load_views(folder: Path, origin: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[MappedView, ...]:
     """The placed photos of ``cameras.json`` with their label images; empty when the folder has none.
 
-    Poses stay in map coordinates as they are written.
+    Args:
+        origin: of the map's local frame M; poses are written with it and come back without it [m].
+
+    Raises:
+        InputError: the table or a label image is damaged.
     """
     from PIL import Image
 
@@ -95,5 +100,6 @@ def load_views(folder: Path) -> tuple[MappedView, ...]:
             (k1, k2, p1, p2),
         )
         K_cam, T = np.array(camera["lattice"]["K"], float), np.array(camera["T_map_cam"], float)
+        T[:3, 3] -= origin
         views.append(MappedView(camera["name"], label, K_cam, T, lattice=lattice))
     return tuple(views)
