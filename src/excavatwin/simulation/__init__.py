@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from excavatwin.simulation.camera import Camera, look_at, orbit
+from excavatwin.simulation.layout import random_site
 from excavatwin.simulation.observations import exact_observations
 from excavatwin.simulation.render import RenderedView, render_view
 from excavatwin.simulation.site import DigSite, Placement
@@ -22,6 +23,7 @@ __all__ = [
     "exact_observations",
     "look_at",
     "orbit",
+    "random_site",
     "render_view",
     "save_truth",
     "site_truth",

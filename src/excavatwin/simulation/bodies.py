@@ -37,6 +37,11 @@ class Material(IntEnum):
     BARK = 9
     BLUE_PAINT = 10
     RED_PAINT = 11
+    HI_VIS = 12  #: fluorescent cloth
+    SKIN = 13
+    DENIM = 14
+    GREEN_PAINT = 15
+    LOOSE_SOIL = 16  #: a load, not ground
 
 
 ALBEDO = np.array(
@@ -53,6 +58,11 @@ ALBEDO = np.array(
         (0.10, 0.07, 0.05),
         (0.05, 0.13, 0.33),
         (0.42, 0.035, 0.03),
+        (0.80, 0.62, 0.05),
+        (0.42, 0.24, 0.16),
+        (0.03, 0.045, 0.09),
+        (0.05, 0.20, 0.07),
+        (0.20, 0.13, 0.075),
     ]
 )
 """Linear reflectance of each material red green blue."""

@@ -15,6 +15,7 @@ from excavatwin.scene.taxonomy import TaskClass
 from excavatwin.simulation import models
 from excavatwin.simulation.bodies import Body
 from excavatwin.simulation.terrain import Earthworks, Ground, Pad
+from excavatwin.simulation.worksite import Worksite
 
 
 @dataclass(frozen=True)
@@ -30,17 +31,33 @@ class Placement:
     """[deg]"""
     pad: float
     """Radius of the levelled ground under it [m]."""
+    category: str = "material"
+    """One of ``CATEGORIES``: what an annotator would call it."""
 
 
+@dataclass(frozen=True)
+class Plant:
+    """A plant at a place, grown from its own seed."""
+
+    model: Callable[[np.random.Generator, float], list[Body]]
+    x: float
+    y: float
+    height: float
+    """[m]"""
+    seed: int
+
+
+CATEGORIES = ("excavator", "truck", "person", "cone", "material")
+"""The five categories of objects; the first is the machine, the others are obstacles."""
 PLACEMENTS = (
-    Placement("excavator", TaskClass.EXCAVATOR, models.excavator, 2.7, -4.6, 88.0, 1.5),
-    Placement("pickup", TaskClass.OBSTACLE, models.pickup, 10.1, 4.5, 98.0, 2.8),
+    Placement("excavator", TaskClass.EXCAVATOR, models.excavator, 2.7, -4.6, 88.0, 1.5, "excavator"),
+    Placement("pickup", TaskClass.OBSTACLE, models.pickup, 10.1, 4.5, 98.0, 2.8, "truck"),
     Placement("pipes", TaskClass.OBSTACLE, models.pipe_row, -8.0, -7.6, 65.0, 2.2),
     Placement("skip", TaskClass.OBSTACLE, models.skip, 3.4, 7.4, 8.0, 1.9),
     Placement("block", TaskClass.OBSTACLE, models.block, -1.2, -8.2, 30.0, 1.1),
     Placement("toolbox", TaskClass.OBSTACLE, models.toolbox, 7.2, -7.6, -25.0, 1.0),
-    Placement("cone", TaskClass.OBSTACLE, models.cone, 7.3, -1.4, 0.0, 0.4),
-    Placement("cone", TaskClass.OBSTACLE, models.cone, -0.6, -1.7, 20.0, 0.4),
+    Placement("cone", TaskClass.OBSTACLE, models.cone, 7.3, -1.4, 0.0, 0.4, "cone"),
+    Placement("cone", TaskClass.OBSTACLE, models.cone, -0.6, -1.7, 20.0, 0.4, "cone"),
 )
 """Where the objects of the default site stand."""
 
@@ -56,10 +73,12 @@ class DigSite:
     """Width of the modelled terrain around it; beyond lies a tilted plane of meadow [m]."""
     cell: float = 0.025
     """Spacing of the terrain's vertices [m]."""
-    earthworks: Earthworks = field(default_factory=Earthworks)
+    earthworks: Earthworks | Worksite = field(default_factory=Earthworks)
     placements: tuple[Placement, ...] = PLACEMENTS
     vegetation: float = 1.0
     """Scale of the number of trees, bushes and tufts; 0 leaves the short turf only."""
+    plants: tuple[Plant, ...] | None = None
+    """The plants, where they are not to be drawn from the seed; ``vegetation`` is then without effect."""
     sun: tuple[float, float] = (215.0, 48.0)
     """Azimuth clockwise from north and elevation of the sun [deg]."""
 
@@ -114,7 +133,7 @@ def contents(site: DigSite) -> Contents:
         bodies += parts
         labels += [int(place.task_class)] * len(parts)
         instances += [number] * len(parts)
-    cover = vegetation(site, ground)
+    cover = vegetation(site, ground) if site.plants is None else planted(site.plants, ground)
     bodies += cover
     labels += [int(TaskClass.REMOVABLE_COVER)] * len(cover)
     instances += [0] * len(cover)
@@ -127,6 +146,16 @@ def ground_height(ground: Ground, x: float, y: float) -> float:
     if 0 <= row < ground.height.shape[0] and 0 <= col < ground.height.shape[1]:
         return float(ground.height[row, col])
     return float(ground.plane @ [x, y, 1])
+
+
+def planted(plants: tuple[Plant, ...], ground: Ground) -> list[Body]:
+    """Bodies of plants that stand where they are told to."""
+    bodies: list[Body] = []
+    for plant in plants:
+        base = np.array([plant.x, plant.y, ground_height(ground, plant.x, plant.y)])
+        grown = plant.model(np.random.default_rng(plant.seed), plant.height)
+        bodies += [body.moved(np.eye(3), base) for body in grown]
+    return bodies
 
 
 def vegetation(site: DigSite, ground: Ground) -> list[Body]:
