@@ -77,6 +77,20 @@ DEMO_EXAMPLES = """\
 Examples:
   excavatwin demo -o demo_output"""
 
+DATASETS = """\
+Data sets that can be read: what to download, where it goes, which terms.
+
+With FOLDERS: which data set lies there, what it holds and lacks, whether
+its calibration fits, and which known bad files are left out."""
+
+DATASETS_EXAMPLES = """\
+Examples:
+  excavatwin datasets
+  excavatwin datasets ~/Rellis-3D
+  excavatwin datasets ~/goose_2d_val ~/goose_3d_val
+  # below the folder in the environment variable EXCAVATWIN_DATASETS
+  excavatwin datasets goose-ex --all"""
+
 app = App(
     name="excavatwin",
     help="Photos of an earthworks site in, metric semantic elevation map out: no LiDAR, no training, no GPU needed.",
@@ -98,3 +112,4 @@ _register("reference_pages:layers_command", "layers", "What is in a map: layers,
 _register("reference_pages:config_command", "config", CONFIG, CONFIG_EXAMPLES)
 _register("doctor:doctor_command", "doctor", DOCTOR, DOCTOR_EXAMPLES)
 _register("demo:demo_command", "demo", DEMO, DEMO_EXAMPLES)
+_register("datasets:datasets_command", "datasets", DATASETS, DATASETS_EXAMPLES)

@@ -84,6 +84,16 @@ def read_vocabulary(source: str | Path, policy: str | None = None) -> Vocabulary
     return _vocabulary(_table(source), str(source), policy)
 
 
+def policies_of(source: str | Path) -> tuple[str, ...]:
+    """Names of the policies of a vocabulary, its first one first.
+
+    Raises:
+        InputError: as ``read_vocabulary``.
+    """
+    table = _table(source)
+    return str(table.get("policy", "own")), *table.get("policies", {})
+
+
 def _table(source: str | Path) -> dict[str, Any]:
     if str(source) in shipped_vocabularies():
         text = (files("excavatwin.vocabularies") / "class_mappings" / f"{source}.toml").read_text("utf-8")
