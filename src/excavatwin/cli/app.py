@@ -91,6 +91,21 @@ Examples:
   # below the folder in the environment variable EXCAVATWIN_DATASETS
   excavatwin datasets goose-ex --all"""
 
+EVALUATE = """\
+Score a SITE, or every site of a data set, against what is true.
+
+Elevation, classes, objects; for a data set also dimensions by protocols in
+which no object sets its own scale, volumes between epochs, and intervals over
+sequences. Simulated sites without a SITE are mapped first, and kept."""
+
+EVALUATE_EXAMPLES = """\
+Examples:
+  excavatwin evaluate demo_output --truth sample/truth.npz
+  excavatwin evaluate site --truth lidar_dtm.tif --csv metrics.csv
+  excavatwin evaluate oces/ --sites sites/ -o scores
+  excavatwin evaluate oces/ --sites sites/ --reference lidar --align cameras
+  excavatwin evaluate rellis/ --sites sites/ --policy strict --no-map"""
+
 app = App(
     name="excavatwin",
     help="Photos of an earthworks site in, metric semantic elevation map out: no LiDAR, no training, no GPU needed.",
@@ -113,3 +128,4 @@ _register("reference_pages:config_command", "config", CONFIG, CONFIG_EXAMPLES)
 _register("doctor:doctor_command", "doctor", DOCTOR, DOCTOR_EXAMPLES)
 _register("demo:demo_command", "demo", DEMO, DEMO_EXAMPLES)
 _register("datasets:datasets_command", "datasets", DATASETS, DATASETS_EXAMPLES)
+_register("evaluate:evaluate_command", "evaluate", EVALUATE, EVALUATE_EXAMPLES)

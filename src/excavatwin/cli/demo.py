@@ -64,6 +64,8 @@ def metric_table(metrics: Sequence[Metric]) -> list[str]:
     for metric in metrics:
         if metric.name.startswith("elevation_fitted") and metric.name != "elevation_fitted_mae":
             continue  # the same figures once more without shift and tilt: one tells enough here
+        if re.search(r"_(selective|aurc|risk_at_95|ece)$", metric.name):
+            continue  # for those who study confidence: `excavatwin evaluate` has them
         one_of_many = re.fullmatch(r"(map_iou|photo_iou|object_\d+_\w+?)_(\w+?)(_error)?", metric.name)
         if one_of_many is None:
             lines.append(f"  {metric.name:<36}{_value(metric):>10}  {metric.meaning}".rstrip())

@@ -24,12 +24,19 @@ class MeasuredObject:
     """One object with its dimensions as reconstructed and as they are, axis by axis."""
 
     sequence: str
-    """Clip, flight or site: objects of one sequence share a reconstruction and its scale."""
+    """Clip, flight or site: the unit of the bootstrap, and of "another" object of the class."""
     category: str
     measured: tuple[float, float, float]
     """Length, width, height, or x, y, z of the annotation [units of the reconstruction]; all above 0."""
     true: tuple[float, float, float]
     """The same axes [m]."""
+    reconstruction: str = ""
+    """What shares one scale, where a sequence was reconstructed several times; else the sequence."""
+
+    @property
+    def scaled_by(self) -> str:
+        """Key of the scale."""
+        return self.reconstruction or self.sequence
 
 
 @dataclass(frozen=True)
@@ -58,14 +65,14 @@ def camera_scale(reconstructed: Float64[np.ndarray, "S 3"], true: Float64[np.nda
 
 
 def camera_baseline(objects: Sequence[MeasuredObject], scale_of: Mapping[str, float]) -> Estimates:
-    """P1: one scale a sequence, from its camera centres (``camera_scale``); all three dimensions are scored."""
-    scale = np.array([scale_of.get(o.sequence, np.nan) for o in objects], float)
+    """P1: one scale a reconstruction, from its camera centres (``camera_scale``); all three dimensions are scored."""
+    scale = np.array([scale_of.get(o.scaled_by, np.nan) for o in objects], float)
     return _scaled("camera_baseline", objects, scale, np.ones((len(objects), 3), bool))
 
 
 def metric_backbone(objects: Sequence[MeasuredObject], scale_of: Mapping[str, float] | float = 1.0) -> Estimates:
     """P4: the scale that the reconstruction itself declares, without any anchor in the scene."""
-    scales = [scale_of if isinstance(scale_of, float | int) else scale_of.get(o.sequence, np.nan) for o in objects]
+    scales = [scale_of if isinstance(scale_of, float | int) else scale_of.get(o.scaled_by, np.nan) for o in objects]
     return _scaled("metric_backbone", objects, np.array(scales, float), np.ones((len(objects), 3), bool))
 
 
@@ -96,13 +103,13 @@ def class_mean_ratio(objects: Sequence[MeasuredObject]) -> Estimates:
 
 
 def other_object(objects: Sequence[MeasuredObject]) -> Estimates:
-    """P3: the scale is the median, over the *other* objects of the sequence, of true over measured longest edge."""
+    """P3: the median, over the *other* objects of the reconstruction, of true over measured longest edge."""
     measured, true = _sizes(objects)
     longest, rows = _longest(true), np.arange(len(objects))
     factor = true[rows, longest] / measured[rows, longest]
     scale = np.full(len(objects), np.nan)
     for i, o in enumerate(objects):
-        others = [j for j, b in enumerate(objects) if j != i and b.sequence == o.sequence]
+        others = [j for j, b in enumerate(objects) if j != i and b.scaled_by == o.scaled_by]
         if others:
             scale[i] = np.median(factor[others])
     return _scaled("other_object", objects, scale, np.ones((len(objects), 3), bool))

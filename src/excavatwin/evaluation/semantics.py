@@ -129,15 +129,28 @@ def semantic_scores(
     return (*figures, *selective_metrics(name, predicted, true, confidence, place, forced))
 
 
-def map_scores(m: ElevationMap, truth: Truth, alignment: Alignment, policy: str = TASK_POLICY) -> tuple[Metric, ...]:
-    """Every cell of the truth against the map's cell at its centre, with its confidence; outside there is no class."""
-    index = cell_at(m, truth, alignment)
+def map_at_truth(
+    m: ElevationMap, truth: Truth, alignment: Alignment
+) -> tuple[UInt8[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
+    """Class and confidence of the map's cell at the centre of every cell of the truth; outside there is no class."""
+    index = cell_at(m, truth, alignment).ravel()
     inside, index = index >= 0, np.maximum(index, 0)
     predicted = np.where(inside, m.label.ravel()[index], NOT_OBSERVED).astype(np.uint8)
-    confidence = np.where(inside, m.confidence.ravel()[index], 0.0)
+    return predicted, np.where(inside, m.confidence.ravel()[index], 0.0)
+
+
+def map_scores(m: ElevationMap, truth: Truth, alignment: Alignment, policy: str = TASK_POLICY) -> tuple[Metric, ...]:
+    """Every semantic figure of the map's cells, over the cells of the truth."""
+    predicted, confidence = map_at_truth(m, truth, alignment)
     return semantic_scores(
-        predicted.ravel(), truth.label.ravel(), confidence.ravel(), name="map", place="the truth's cells", policy=policy
+        predicted, truth.label.ravel(), confidence, name="map", place="the truth's cells", policy=policy
     )
+
+
+def map_curve(m: ElevationMap, truth: Truth, alignment: Alignment) -> RiskCoverage:
+    """Risk-coverage curve of the map's cells."""
+    predicted, confidence = map_at_truth(m, truth, alignment)
+    return risk_coverage(predicted, truth.label.ravel(), confidence)
 
 
 def view_labels_at_truth(view: MappedView, true: ViewTruth) -> UInt8[np.ndarray, "h w"]:

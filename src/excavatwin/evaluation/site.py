@@ -54,6 +54,18 @@ def evaluate_site(
     """
     m, views = read_site(site)
     alignment = align(m, views, truth, way) if offset is None else shifted(offset)
+    return score(m, views, truth, alignment, elevation, policy)
+
+
+def score(
+    m: ElevationMap,
+    views: Sequence[MappedView],
+    truth: Truth,
+    alignment: Alignment,
+    elevation: Truth | None = None,
+    policy: str = TASK_POLICY,
+) -> tuple[Metric, ...]:
+    """The same for what is already read and aligned."""
     return (
         *elevation_metrics(m, elevation or truth, alignment),
         *map_scores(m, truth, alignment, policy),
@@ -82,6 +94,3 @@ def unmapped_metrics(truth: Truth, policy: str = TASK_POLICY) -> tuple[Metric, .
         *(semantic_metrics("photo", photo_confusion((), truth), "the photos' pixels", policy) if truth.views else ()),
         Metric("object_recall", 0.0 if truth.objects else float("nan"), "%", f"of {len(truth.objects)} true objects"),
     )
-
-
-__all__ = ["Alignment", "evaluate_site", "photo_metrics", "read_site", "unmapped_metrics"]
