@@ -73,14 +73,14 @@ def noise_raster(
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def noise_points(
     points: Float32[np.ndarray, "n 3"], longest: float, ratio: float, gain: float, count: int, seed: int
 ) -> Float32[np.ndarray, "n"]:
     """The octave sum at points of space; 0 where a point is NaN."""
     out = np.zeros(len(points), np.float32)
-    for i in range(len(points)):
-        x, y, z = points[i]
+    for i in prange(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
         if np.isfinite(x + y + z):
             out[i] = octaves(x, y, z, longest, ratio, gain, count, 0.0, seed)
     return out

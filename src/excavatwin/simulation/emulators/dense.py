@@ -47,9 +47,9 @@ class Mask2FormerLike:
     docs/emulators.md for why half, and for the calibration.
     """
 
-    skill: float = 1.0
+    skill: float = 1.85
     """Log odds in favour of the right class at the reference footprint. Calibrated: sets the mIoU."""
-    nothing: float = -1.0
+    nothing: float = 0.8
     """Log odds added to "none of the task classes" (sky, water, wall, void). Calibrated: sets the coverage."""
     spread: float = 1.6
     """Standard deviation of the patchy errors of each class's log odds."""

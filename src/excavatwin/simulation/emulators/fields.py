@@ -51,8 +51,8 @@ def spread(shape: tuple[int, int], wavelength: float, rng: np.random.Generator) 
 
 
 def anchored(
-    points: Float32[np.ndarray, "H W 3"], wavelength: float, seed: int, channels: int = 1
-) -> Float32[np.ndarray, "H W C"]:
+    points: Float32[np.ndarray, "*n 3"], wavelength: float, seed: int, channels: int = 1
+) -> Float32[np.ndarray, "*n C"]:
     """Fields of about unit standard deviation that belong to the world: the same at a point in every view.
 
     Args:
@@ -66,7 +66,7 @@ def anchored(
     scale = np.float32(1 / (VALUE_NOISE_STD * np.hypot(1.0, OCTAVE_GAIN)))
     seeds = stream(seed, 0xF1E1D).integers(0, 2**31, channels)
     fields = [scale * noise_points(flat, wavelength, OCTAVE_RATIO, OCTAVE_GAIN, 2, int(s)) for s in seeds]
-    return np.stack(fields, -1).reshape(*points.shape[:2], channels)
+    return np.stack(fields, -1).reshape(*points.shape[:-1], channels)
 
 
 def footprint(view: RenderedView, camera: Camera, window: int = 15) -> Float32[np.ndarray, "H W"]:

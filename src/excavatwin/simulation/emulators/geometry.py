@@ -75,8 +75,8 @@ class VggtLike:
     reach: float = 5.0
     """Pixels deeper than this many median depths have no point: towards the horizon the confidence is nil."""
     confidence_correlation: float = 0.6
-    """Correlation, 0..1, of log confidence with minus the log of the pixel's own depth error: VGGT's confidence is
-    trained as an aleatoric weight and ranks errors, but loosely."""
+    """Correlation, 0..1, of log confidence with minus the log of the depth error around the pixel: VGGT's confidence
+    is trained as an aleatoric weight; it knows edges and distance, and ranks errors only loosely."""
     vertical_compression: float = 1.0
     """Heights about the mean plane are divided by this; 1 = none. Oblique clips with little parallax come out
     flattened (7.9 measured on one); the points slide along their rays, so that they keep their pixels."""
@@ -187,10 +187,15 @@ class VggtLike:
 
     def _confidence(self, error: Float32[np.ndarray, "H W"], rng: np.random.Generator) -> Float32[np.ndarray, "H W"]:
         """1 + exp(.), as VGGT's head: high where the error is small, mostly."""
+        import cv2
+
         rho = self.confidence_correlation
-        drawn = spread(error.shape, 8.0, rng)
+        drawn = spread(error.shape, 25.0, rng)
         seen = np.isfinite(error)
-        log_error = np.log(np.maximum(error, 1e-6))
+        around = cv2.blur(np.where(seen, error, 0), (5, 5)) / np.maximum(
+            cv2.blur(seen.astype(np.float32), (5, 5)), 1e-6
+        )
+        log_error = np.log(np.maximum(around, 1e-6))
         middle, width = (np.mean(log_error[seen]), np.std(log_error[seen])) if seen.any() else (0.0, 0.0)
         ranked = (log_error - middle) / max(float(width), 1e-6)
         u = np.sqrt(1 - rho**2) * drawn - rho * np.where(seen, ranked, 0)

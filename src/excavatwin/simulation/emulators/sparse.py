@@ -43,12 +43,17 @@ class YoloeLike:
     (soil heap, pit, gravel, grass) rarely answer, and with a part of the region only.
     """
 
-    things: float = -1.5
-    """Log odds of a thing of ``size`` pixels. Calibrated."""
-    plants: float = -2.5
+    machines: float = -1.8
+    """Log odds of an excavator of ``size`` pixels: the prompt names it and nothing looks like it."""
+    things: float = -2.5
+    """Log odds of an obstacle of ``size`` pixels: some are trucks and people, others a skip or a block that no prompt
+    fits. Calibrated."""
+    plants: float = -2.3
     """Log odds of a bush or a tree of ``size`` pixels. Calibrated."""
-    stuff: float = 0.3
+    stuff: float = 1.4
     """Expected number of partial blobs reported of each kind of ground and view. Calibrated."""
+    blob: float = 1.2
+    """How far below its peak, in standard deviations, the field that a blob follows may fall inside it."""
     ghosts: float = 0.3
     """Expected number of false things reported on the ground and view: a heap called obstacle, a shadow, a rut."""
     size: float = 900.0
@@ -59,7 +64,7 @@ class YoloeLike:
     """Standard deviation of the luck of things in log odds."""
     sticky: float = 0.5
     """Share of the variance of that luck, and of what is taken for another class, that a thing has in every view."""
-    mistaken: float = 0.15
+    mistaken: float = 0.2
     """Share of reported things that are called another class."""
     border: float = 2.5
     """Reach by which masks grow or shrink, standard deviation [px]."""
@@ -108,12 +113,14 @@ class YoloeLike:
         for key in np.unique(view.instance[view.instance > 0]):
             mask = view.instance == key
             task_class = int(np.median(view.label[mask]))
-            yield Candidate(mask, task_class, int(key), self.plants if task_class == RC else self.things)
+            ease = {EX: self.machines, RC: self.plants}.get(task_class, self.things)
+            yield Candidate(mask, task_class, int(key), ease)
 
     def _plants(self, view: RenderedView, seed: int) -> Iterator[Candidate]:
         """Clumps of removable cover: which clump a pixel belongs to is the world's affair."""
         cover = (view.label == RC) & (view.instance == 0)
-        keys = np.where(cover, clumps(view.points, self.plant_cell, seed), 0)
+        keys = np.zeros(cover.shape, np.int64)
+        keys[cover] = clumps(view.points[cover], self.plant_cell, seed)
         found, count = np.unique(keys[cover], return_counts=True)
         for key in found[count >= 20]:
             yield Candidate(keys == key, RC, int(key), self.plants)
@@ -156,14 +163,18 @@ class YoloeLike:
         kinds = ((CT, CT, self.stuff), (OT, OT, self.stuff), (CT, OB, self.ghosts), (CT, EX, 0.3 * self.ghosts))
         for place, (true, called, rate) in enumerate(kinds):
             region = (view.label == true) & (size < 0.5)
-            if region.sum() < 500:
+            count = rng.poisson(rate)
+            if count == 0 or region.sum() < 500:
                 continue
             lasting = anchored(view.points, 4.0, stream(seed, SPARSE, 6, place).integers(2**31).item())[..., 0]
-            for _ in range(rng.poisson(rate)):
+            for _ in range(count):
                 field = np.sqrt(self.sticky) * lasting
                 field = field + np.sqrt(1 - self.sticky) * patches(view.label.shape, 60.0, rng)[..., 0]
                 mistaken = called == true and rng.random() < self.mistaken
-                yield peak(np.where(region, field, -9), 0.5), int(rng.choice(MISTAKEN[true])) if mistaken else called
+                yield (
+                    peak(np.where(region, field, -9), self.blob),
+                    int(rng.choice(MISTAKEN[true])) if mistaken else called,
+                )
 
 
 def paint(evidence: Float32[np.ndarray, "H W K"], mask: Bool[np.ndarray, "H W"], task_class: int, score: float) -> None:
@@ -172,11 +183,10 @@ def paint(evidence: Float32[np.ndarray, "H W K"], mask: Bool[np.ndarray, "H W"],
     channel[mask] = np.maximum(channel[mask], score)
 
 
-def clumps(points: Float32[np.ndarray, "H W 3"], cell: float, seed: int) -> Int64[np.ndarray, "H W"]:
+def clumps(points: Float32[np.ndarray, "n 3"], cell: float, seed: int) -> Int64[np.ndarray, "n"]:
     """A number for the clump of plants that each point belongs to, from 1000 on: ground cells with wavy borders."""
     wave = 0.3 * cell * anchored(points, 1.5 * cell, stream(seed, SPARSE, 7).integers(2**31).item(), 2)
-    flat = np.nan_to_num(points[..., :2]) + wave
-    col, row = np.moveaxis(np.floor(np.clip(flat, -1000, 1000) / cell).astype(np.int64) + 2000, -1, 0)
+    col, row = np.floor((points[:, :2] + wave).clip(-1000, 1000) / cell).astype(np.int64).T + 2000
     return 1000 + row * 4000 + col
 
 
