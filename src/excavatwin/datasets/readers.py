@@ -150,11 +150,11 @@ def _image(path: Path) -> Any:
     from PIL import Image
 
     try:
-        image = Image.open(path)
-        image.load()
+        with Image.open(path) as image:
+            image.load()
+            return image.copy()
     except (OSError, SyntaxError, ValueError) as error:
         raise InputError(f"{path} cannot be decoded ({error}); copy it again.") from error
-    return image
 
 
 def _numbers(path: Path, kind: np.dtype[Any]) -> np.ndarray:
