@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from excavatwin.datasets import task_labels
 from excavatwin.evaluation.alignment import common_cameras
 from excavatwin.evaluation.dimensions import MeasuredObject, camera_scale
 from excavatwin.evaluation.reference import terrain_truth
@@ -21,7 +22,6 @@ from excavatwin.scene.recording import Frame, Recording
 from excavatwin.scene.site import MappedView
 from excavatwin.scene.taxonomy import NOT_OBSERVED
 from excavatwin.scene.truth import Truth, ViewTruth
-from excavatwin.vocabularies import Vocabulary, canonical
 
 NOWHERE = Grid(0.0, 0.0, 1.0, 1, 1)
 """Grid of a truth without heights."""
@@ -47,15 +47,21 @@ def frames_by_photo(recording: Recording, photos: Iterable[str]) -> dict[str, Fr
     return found
 
 
-def recorded_truth(recording: Recording, frames: Mapping[str, Frame], vocabulary: Vocabulary | None) -> Truth:
+def recorded_truth(recording: Recording, frames: Mapping[str, Frame], policy: str | None = None) -> Truth:
     """Cameras and classes of the photos, and the scanner's heights where the recording holds them.
 
     Args:
         frames: by the names of the SITE's photos; the truth's views carry these names.
-        vocabulary: maps the recording's class ids under one policy; without it no class is scored.
+        policy: by which the recording's classes become task classes.
+
+    Raises:
+        InputError: the recording's vocabulary has no such policy.
     """
-    lookup = None if vocabulary is None else task_lookup(vocabulary, recording.voiceless)
-    views = tuple(_view(name, frame, lookup) for name, frame in frames.items())
+    nothing = np.full((1, 1), NOT_OBSERVED, np.uint8)
+    views = tuple(
+        _view(name, frame, task_labels(recording, frame, policy) if frame.label else nothing)
+        for name, frame in frames.items()
+    )
     if recording.elevation is None:
         heights = terrain_truth(NOWHERE, np.full(NOWHERE.shape, np.nan, np.float32), recording.georeference)
     else:
@@ -64,21 +70,7 @@ def recorded_truth(recording: Recording, frames: Mapping[str, Frame], vocabulary
     return replace(heights, views=views)
 
 
-def task_lookup(vocabulary: Vocabulary, voiceless: Sequence[str] = ()) -> UInt8[np.ndarray, "256"]:
-    """Class id -> task class of greatest weight; 255 (not scored) for classes that map to nothing or mean nothing."""
-    table = np.full(256, NOT_OBSERVED, np.uint8)
-    silent = {canonical(name) for name in voiceless}
-    for number, name in vocabulary.names.items():
-        weights = vocabulary.mapping.weights[canonical(name)]
-        if number < 255 and weights and canonical(name) not in silent:
-            table[number] = max(weights, key=lambda k: weights[k])
-    return table
-
-
-def _view(name: str, frame: Frame, lookup: UInt8[np.ndarray, "256"] | None) -> ViewTruth:
-    label = np.full((1, 1), NOT_OBSERVED, np.uint8)
-    if frame.label is not None and lookup is not None:
-        label = lookup[frame.label()]
+def _view(name: str, frame: Frame, label: UInt8[np.ndarray, "H W"]) -> ViewTruth:
     width, height = frame.size or label.shape[::-1]
     nowhere = np.full((4, 4), np.nan)
     K = np.eye(3) if frame.K_cam is None else frame.K_cam

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int64
 
+from excavatwin.datasets import ElevationProtocol
 from excavatwin.errors import InputError
 from excavatwin.evaluation.alignment import Alignment, align, common_cameras
 from excavatwin.evaluation.dimensions import MeasuredObject, camera_scale
@@ -94,9 +95,8 @@ def score_recorded(
     m, views = read_site(site)
     frames = frames_by_photo(recording, photos_of(site))
     check_photos(site, list(frames), recording.name)
-    vocabulary = read_vocabulary(recording.vocabulary, scoring.policy) if recording.vocabulary else None
-    truth = recorded_truth(recording, frames, vocabulary)
-    policy = vocabulary.policy if vocabulary else TASK_POLICY
+    truth = recorded_truth(recording, frames, scoring.policy)
+    policy = read_vocabulary(recording.vocabulary, scoring.policy).policy if recording.vocabulary else TASK_POLICY
     metrics: list[Metric] = [*photo_metrics(views, truth, policy)] if any(f.label for f in frames.values()) else []
     survey, told = None, []
     heights = truth if recording.elevation else scanner_heights(recording, dataset, truth, list(frames))
@@ -144,10 +144,6 @@ def scanner_heights(recording: Recording, dataset: Dataset, truth: Truth, photos
     """RELLIS-3D: terrain from the labelled scans around the middle photo of the SITE; None for other data sets."""
     if dataset.name != "rellis-3d" or not photos:
         return None
-    from dataclasses import replace
-
-    from excavatwin.datasets.rellis_elevation import ElevationProtocol
-
     frames = frames_by_photo(recording, photos)
     placed = [frame for frame in frames.values() if frame.T_W_cam is not None and frame.scan is not None]
     if not placed:
