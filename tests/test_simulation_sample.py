@@ -12,7 +12,8 @@ import pytest
 from excavatwin.capture import find_photos
 from excavatwin.evaluation import load_truth
 from excavatwin.simulation import DigSite, orbit, save_truth, site_truth
-from excavatwin.simulation.sample import FOCAL_RATIO, PLACE, write_photo
+from excavatwin.simulation.flights import FOCAL_RATIO
+from excavatwin.simulation.recording.drone_photo import PLACE, write_photo
 from excavatwin.simulation.site import PLACEMENTS
 
 SAMPLE = Path(__file__).resolve().parent.parent / "sample"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -80,14 +80,20 @@ def render_view(site: DigSite, camera: Camera, samples: int = 2, grain: float = 
             pixel's centre.
         grain: standard deviation of the sensor's noise [grey levels of 255].
     """
-    pose = np.ascontiguousarray(camera.T_M_cam)
-    colour, t, label, instance = trace(*scene(site), pose, camera.focal, camera.width, camera.height, samples)
-    rng = np.random.default_rng(np.frombuffer(pose.tobytes(), np.uint32))
+    colour, view = traced(site, camera, samples)
+    rng = np.random.default_rng(np.frombuffer(np.ascontiguousarray(camera.T_M_cam).tobytes(), np.uint32))
     noise = rng.normal(0, grain, colour.shape).astype(np.float32)
     image = np.clip(255 * np.clip(EXPOSURE * colour, 0, None) ** (1 / 2.2) + noise, 0, 255).round().astype(np.uint8)
-    rays = pixel_rays(camera)
-    points = camera.T_M_cam[:3, 3] + t[..., None] * (rays @ camera.T_M_cam[:3, :3].T)
-    return RenderedView(image, t.astype(np.float32), points.astype(np.float32), label, instance)
+    return replace(view, image=image)
+
+
+def traced(site: DigSite, camera: Camera, samples: int) -> tuple[Float32[np.ndarray, "H W 3"], RenderedView]:
+    """Linear colour of a photo, and its truth with a black image."""
+    pose = np.ascontiguousarray(camera.T_M_cam)
+    colour, t, label, instance = trace(*scene(site), pose, camera.focal, camera.width, camera.height, samples)
+    points = camera.T_M_cam[:3, 3] + t[..., None] * (pixel_rays(camera) @ camera.T_M_cam[:3, :3].T)
+    black = np.zeros(colour.shape, np.uint8)
+    return colour, RenderedView(black, t.astype(np.float32), points.astype(np.float32), label, instance)
 
 
 def pixel_rays(camera: Camera) -> Float64[np.ndarray, "H W 3"]:

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from excavatwin.simulation.photoreal.photo import render
+from excavatwin.simulation.photoreal.photo import render, seen_from_above
 
-__all__ = ["render"]
+__all__ = ["render", "seen_from_above"]

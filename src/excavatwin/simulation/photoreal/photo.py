@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32
+from jaxtyping import Float32, Float64, Int32, UInt8
 
 from excavatwin.kernels.irradiance import smoothed
+from excavatwin.kernels.ray_tracing import ABOVE
 from excavatwin.kernels.surface_colour import NO_OWNER, surface_colours
+from excavatwin.scene.grid import Grid
 from excavatwin.simulation.camera import Camera
 from excavatwin.simulation.conditions import Conditions
 from excavatwin.simulation.photoreal.lighting import AROUND_EVERY, NOTHING, Hits, Sample, first_hits, sample_light
@@ -72,7 +74,7 @@ def owners(built: Stage, triangle: np.ndarray) -> Int32[np.ndarray, "n"]:
     return np.where(met, built.owner[np.where(met, triangle, 0)], NO_OWNER).astype(np.int32)
 
 
-def classes(built: Stage, owner: Int32[np.ndarray, "n"], points: Float64[np.ndarray, "n 3"]) -> np.ndarray:
+def classes(built: Stage, owner: Int32[np.ndarray, "n"], points: Float64[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n"]:
     """Task class of each hit, 255 for the sky; on the ground that of the nearest vertex."""
     ground: Ground = built.contents.ground
     label = np.array([0, *built.contents.labels], np.uint8)[np.maximum(owner, -1) + 1]
@@ -83,6 +85,21 @@ def classes(built: Stage, owner: Int32[np.ndarray, "n"], points: Float64[np.ndar
     label[there] = ground.label[row, col]
     label[owner == NO_OWNER] = 255
     return label
+
+
+def seen_from_above(
+    site: DigSite, grid: Grid
+) -> tuple[Float32[np.ndarray, "Y X"], UInt8[np.ndarray, "Y X"], UInt8[np.ndarray, "Y X"]]:
+    """Height [m], task class and object id of what vertical rays through the cell centres meet first."""
+    built = stage(_unlit(site))
+    x, y = np.meshgrid(grid.x, grid.y)
+    origin = np.stack([x, y, np.full(x.shape, ABOVE)], -1).reshape(-1, 3)
+    hits = first_hits(built, origin, np.broadcast_to([0.0, 0.0, -1.0], origin.shape))
+    owner = owners(built, hits.triangle)
+    points = origin - hits.t[:, None] * np.array([0, 0, 1.0])
+    instance = np.array([0, *built.contents.instances], np.uint8)[np.maximum(owner, -1) + 1]
+    surface = points[:, 2].astype(np.float32)
+    return tuple(v.reshape(grid.shape) for v in (surface, classes(built, owner, points), instance))  # type: ignore[return-value]
 
 
 def _radiance(

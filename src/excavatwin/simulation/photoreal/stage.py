@@ -1,4 +1,4 @@
-"""A site on Mitsuba's stage: one mesh whose triangles know what they belong to, and tables of how that answers light."""
+"""A site on Mitsuba's stage: one mesh whose triangles know what they belong to, and how that answers light."""
 
 from __future__ import annotations
 
