@@ -106,6 +106,22 @@ Examples:
   excavatwin evaluate oces/ --sites sites/ --reference lidar --align cameras
   excavatwin evaluate rellis/ --sites sites/ --policy strict --no-map"""
 
+SIMULATE = """\
+Record made-up dig sites: photos, and the truth of every pixel and cell.
+
+Sites, machines, flights and errors are drawn from the seed. Finished epochs
+are kept: after an interruption the same command resumes."""
+
+SIMULATE_EXAMPLES = """\
+Examples:
+  excavatwin simulate -o simulated
+  excavatwin simulate -o simulated --seed 5 --epochs 4 --width 1024
+  # as real as it gets: pip install "excavatwin[sim]"
+  excavatwin simulate -o real --renderer photoreal --width 1024
+  excavatwin simulate -o dusk --sun-elevation 12 --dust 1 --motion-blur 2
+  # a data set of 25 sequences like the paper's OCES
+  excavatwin simulate -o oces --sequences 25 --epochs 4 --flight mixed"""
+
 app = App(
     name="excavatwin",
     help="Photos of an earthworks site in, metric semantic elevation map out: no LiDAR, no training, no GPU needed.",
@@ -129,3 +145,4 @@ _register("doctor:doctor_command", "doctor", DOCTOR, DOCTOR_EXAMPLES)
 _register("demo:demo_command", "demo", DEMO, DEMO_EXAMPLES)
 _register("datasets:datasets_command", "datasets", DATASETS, DATASETS_EXAMPLES)
 _register("evaluate:evaluate_command", "evaluate", EVALUATE, EVALUATE_EXAMPLES)
+_register("simulate:simulate_command", "simulate", SIMULATE, SIMULATE_EXAMPLES)
