@@ -69,12 +69,13 @@ def evaluate_command(
     from excavatwin.cli.mapping import read_plan
     from excavatwin.cli.metric_report import report
     from excavatwin.errors import InputError
-    from excavatwin.evaluation.scores import write_scores
+    from excavatwin.evaluation.scores import check_places, write_scores
     from excavatwin.studies.dataset_evaluation import Scoring
 
     if not subject.is_dir():
         what = "is a file" if subject.exists() else "does not exist"
         raise InputError(f"{subject} {what}; give a SITE folder, or the folder of a data set.")
+    check_places(output, json, csv)
     scoring = Scoring(align, reference, policy, segmenter, seed)
     if is_site(subject):
         if sites is not None or no_map:

@@ -49,7 +49,7 @@ PUBLISHED: Mapping[str, Mapping[str, Mapping[str, Published]]] = {
         "mask2former": {**_OCES, **_semantics(53.19, 99.28, "OCES, Mask2Former + Ours")},
         "yoloe": {**_OCES, **_semantics(34.57, 80.40, "OCES, YOLOE + Ours")},
     },
-    "goose": {
+    "goose-ex": {
         "mask2former": _semantics(38.03, 96.15, "GOOSE-Ex, Mask2Former + Ours"),
         "yoloe": _semantics(20.77, 90.52, "GOOSE-Ex, YOLOE + Ours"),
     },

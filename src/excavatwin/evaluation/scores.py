@@ -6,12 +6,14 @@ import csv
 import io
 import json
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import excavatwin
+from excavatwin.errors import OutputError
 from excavatwin.evaluation.metric import Metric
 from excavatwin.evaluation.selective import RiskCoverage
 from excavatwin.scene.staging import whole_file, whole_folder
@@ -84,6 +86,31 @@ class Scores:
                 numbers = [_number(v) for v in (m.low, m.high, m.paper)]
                 writer.writerow([row.sequence, row.epoch, m.name, _number(m.value), m.unit, *numbers, m.meaning])
         return out.getvalue()
+
+
+def check_places(folder: Path | None = None, *files: Path | None) -> None:
+    """Refuse places that ``write_scores`` would refuse, before anything is computed for them.
+
+    Raises:
+        OutputError: the folder holds something else, a file is a folder or the other way round, or no permission.
+    """
+    if folder is not None and folder.exists():
+        if not folder.is_dir():
+            raise OutputError(f"{folder} is a file, where a folder was to be written; give another name.")
+        foreign = [child.name for child in folder.iterdir() if not child.name.startswith(".")]
+        if foreign and not (folder / JSON_NAME).is_file():
+            raise OutputError(
+                f"{folder} already holds something else ({min(foreign)}, no {JSON_NAME}) and will not be overwritten; "
+                "give a new folder, or empty this one."
+            )
+    for place in (folder, *files):
+        if place is None:
+            continue
+        if place != folder and place.is_dir():
+            raise OutputError(f"{place} is a folder, where a file was to be written; give another name.")
+        parent = next(p for p in place.absolute().parents if p.exists())
+        if not os.access(parent, os.W_OK):
+            raise OutputError(f"{place} cannot be written: {parent} is read-only for you; choose another place.")
 
 
 def write_scores(

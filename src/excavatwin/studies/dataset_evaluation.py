@@ -88,18 +88,15 @@ def evaluate_dataset(
         OutputError: a SITE cannot be written.
     """
     scored: list[Scored] = []
-    without: list[str] = []
-    for done, name in enumerate(dataset.names):
-        progress("evaluate", done, len(dataset.names))
-        recording, site = dataset.recording(name), sites / name
-        failure = ""
-        if not (site / "map.nc").is_file():
-            if not (map_missing and recording.truth and recording.photos):
-                without.append(name)
-                continue
-            failure = mapped(recording, site, plan, progress)
-        scored.append(one(recording, dataset, site, failure, scoring))
-    progress("evaluate", len(dataset.names), len(dataset.names))
+    mappable = map_missing and simulated(dataset)
+    without = [name for name in dataset.names if not (sites / name / "map.nc").is_file()]
+    names = [name for name in dataset.names if mappable or name not in without]
+    for done, name in enumerate(names):
+        progress("evaluate", done, len(names))
+        recording = dataset.recording(name)
+        failure = mapped(recording, sites / name, plan, progress) if name in without else ""
+        scored.append(one(recording, dataset, sites / name, failure, scoring))
+    progress("evaluate", len(names), len(names))
     if not scored:
         raise InputError(nothing_to_score(dataset, sites, map_missing))
     scored = with_series(scored, dataset)
@@ -110,8 +107,16 @@ def evaluate_dataset(
         settings=scoring.settings(policy) | {"sites": str(sites)},
         rows=tuple(replace(one.row, metrics=metrics) for one, metrics in zip(scored, rows, strict=True)),
         summary=with_paper(summary(scored, scoring.seed), dataset.name, scoring.segmenter),
-        notes=notes(dataset, scored, without),
+        notes=notes(dataset, scored, [] if mappable else without),
     )
+
+
+def simulated(dataset: Dataset) -> bool:
+    """Whether its recordings come with exact truth and folders of photos, as those of the OCES layout do."""
+    if not dataset.names:
+        return False
+    first = dataset.recording(dataset.names[0])
+    return first.truth is not None and first.photos is not None
 
 
 def mapped(recording: Recording, site: Path, plan: Plan | None, progress: Progress) -> str:
@@ -158,7 +163,7 @@ def with_series(scored: Sequence[Scored], dataset: Dataset) -> list[Scored]:
             series = [other for other in scored if other.row.sequence == after.row.sequence]
             extra += final_terrain_metrics([other.row.metrics for other in series])
             times = [other.time for other in series if other.time is not None]
-            if len(times) == len(series) and times == sorted(times):
+            if len(times) == len(series) and (np.diff(times) > 0).all():
                 extra += update_interval_metrics(times)
         result.append(replace(after, row=replace(after.row, metrics=(*after.row.metrics, *extra))))
     return result
@@ -232,8 +237,7 @@ def some(names: Sequence[str]) -> str:
 def nothing_to_score(dataset: Dataset, sites: Path, map_missing: bool) -> str:
     """What is missing, and what to do."""
     name = dataset.names[0] if dataset.names else "NAME"
-    simulated = bool(dataset.names) and dataset.recording(name).truth is not None
-    if simulated and not map_missing:
+    if simulated(dataset) and not map_missing:
         return f"{sites} holds no SITE of {dataset.name} (such as {sites / name}); leave --no-map out to map them."
     return (
         f"{sites} holds no SITE of {dataset.name}; map photos of a recording first, such as "
