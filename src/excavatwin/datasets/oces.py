@@ -26,9 +26,11 @@ from excavatwin.datasets.readers import (
 from excavatwin.errors import InputError
 from excavatwin.scene.observations import Georeference
 from excavatwin.scene.recording import Dataset, Excluded, Frame, KnownObject, Recording, Scan, Stored, VolumeChange
-from excavatwin.scene.taxonomy import TaskClass, parse_class
+from excavatwin.scene.taxonomy import TERRAIN_CLASSES, TaskClass, parse_class
 
 FORMAT, VERSION = "excavatwin-oces", 1
+#: Terrain seen through a camera may lie so far from the elevation reference [m], and pixels that must tell.
+APART, ENOUGH = 0.3, 20
 #: Files that an epoch is not itself without.
 ESSENTIAL = ("cameras.json", "truth.npz", "objects.json")
 
@@ -76,11 +78,16 @@ def open_oces(folders: Sequence[Path]) -> Dataset:
     if not epochs:
         raise InputError(f"{root} holds none of the epochs that its dataset.json names; copy the whole folder.")
     cameras = {name: read_json(place / "cameras.json") for name, (place, _) in epochs.items()}
+    names = tuple(epochs)
+
+    def opened(name: str) -> Recording:
+        return _recording(name, *epochs[name], cameras[name])
+
     return Dataset(
         name="oces",
         folders=(root,),
-        names=tuple(epochs),
-        open=lambda name: _recording(name, *epochs[name], cameras[name]),
+        names=names,
+        open=opened,
         counts={
             "sequences": len({name.split("/")[0] for name in epochs}),
             "epochs": len(epochs),
@@ -91,7 +98,7 @@ def open_oces(folders: Sequence[Path]) -> Dataset:
         changes=tuple(changes),
         vocabulary="task",
         excluded=tuple(excluded),
-        checks=(_checked(epochs, cameras),),
+        checks=(_all_there(epochs, cameras), *_geometry_fits(opened(names[0]))),
     )
 
 
@@ -102,7 +109,9 @@ def _recording(name: str, place: Path, told: dict[str, Any], cameras: dict[str, 
     return Recording(
         name,
         frames=tuple(_frame(place, entry) for entry in cameras["frames"]),
-        scans=(Scan("lidar", Stored(lidar, partial(read_laz, origin=origin))),) if lidar.is_file() else (),
+        scans=(Scan("lidar", Stored(lidar, partial(read_laz, origin=origin)), labelled=True),)
+        if lidar.is_file()
+        else (),
         vocabulary="task",
         photos=place / "images",
         objects=tuple(_object(entry, place / "objects.json") for entry in read_json(place / "objects.json")),
@@ -174,7 +183,7 @@ def _georeference(told: dict[str, Any]) -> Georeference | None:
     return Georeference(int(epsg), (float(origin[0]), float(origin[1]), float(origin[2])), 0.0)
 
 
-def _checked(epochs: dict[str, tuple[Path, dict[str, Any]]], cameras: dict[str, Any]) -> str:
+def _all_there(epochs: dict[str, tuple[Path, dict[str, Any]]], cameras: dict[str, Any]) -> str:
     """Whether every photo is there with its truth."""
     parts = {"images": "{name}", "labels": "{stem}.png", "instances": "{stem}.png", "depth": "{stem}.tif"}
     absent = {
@@ -187,6 +196,30 @@ def _checked(epochs: dict[str, tuple[Path, dict[str, Any]]], cameras: dict[str, 
     }
     told = ", ".join(f"{count} of {part}" for part, count in absent.items() if count)
     return f"files that cameras.json names but are not there: {told}." if told else "every photo has its truth."
+
+
+def _geometry_fits(recording: Recording) -> tuple[str, ...]:
+    """Whether depth, camera and elevation reference of one epoch tell of the same terrain.
+
+    Raises:
+        InputError: terrain seen through a camera is not where the reference has it.
+    """
+    frame = recording.frames[len(recording.frames) // 2] if recording.frames else None
+    if frame is None or not frame.label or not frame.depth or not recording.elevation:
+        return ()
+    seen = frame.world_points()[np.isin(frame.label(), TERRAIN_CLASSES)]
+    reference = recording.elevation()
+    index = reference.grid.flat_index(seen[:, :2])
+    miss = np.abs(seen[index >= 0, 2] - reference.height.ravel()[index[index >= 0]])
+    miss = miss[np.isfinite(miss)]
+    median = float(np.median(miss)) if len(miss) >= ENOUGH else float("inf")
+    if not median <= APART:
+        found = f"a median of {median:.2f} m away from" if len(miss) >= ENOUGH else "nowhere near"
+        raise InputError(
+            f"{recording.name}: terrain seen in {frame.name} lies {found} elevation.tif; cameras (camera-to-map), "
+            "depth and reference are of different frames or epochs."
+        )
+    return (f"{recording.name}: terrain seen in {frame.name} lies {100 * median:.1f} cm from elevation.tif (median).",)
 
 
 def _matrix(entry: dict[str, Any], key: str, n: int, where: Path) -> Float64[np.ndarray, "n n"]:

@@ -115,7 +115,10 @@ def read_scan(path: Path, labels: Path | None = None, columns: int = 4, highest:
 
 
 def read_laz(path: Path, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> PointCloud:
-    """A LAS or LAZ cloud, less the origin of the map frame; class 2 of the ASPRS is ground."""
+    """A LAS or LAZ cloud, less the origin of the map frame; class 2 of the ASPRS is ground.
+
+    Extra dimensions ``task_class`` and ``object_id``, as our simulation writes them, become labels and instances.
+    """
     import laspy
 
     try:
@@ -123,7 +126,9 @@ def read_laz(path: Path, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -
     except (OSError, ValueError, laspy.errors.LaspyException) as error:
         raise InputError(f"{path} cannot be read as a LAS or LAZ cloud ({error}).") from error
     xyz = np.stack([np.asarray(axis, np.float64) for axis in (cloud.x, cloud.y, cloud.z)], -1) - origin
-    return PointCloud(xyz.astype(np.float32), ground=np.asarray(cloud.classification) == 2)
+    extra = {name: np.asarray(cloud[name], np.uint16) for name in cloud.point_format.extra_dimension_names}
+    ground = np.asarray(cloud.classification) == 2
+    return PointCloud(xyz.astype(np.float32), extra.get("task_class"), extra.get("object_id"), ground)
 
 
 def read_matrix(path: Path, columns: int) -> Float64[np.ndarray, "n c"]:
