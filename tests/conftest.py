@@ -9,7 +9,18 @@ import pytest
 from jaxtyping import install_import_hook
 
 #: Rooms whose annotated shapes and dtypes are checked while tests run; not the kernels, which numba must pickle.
-CHECKED = ("scene", "geometry", "semantics", "mapping", "mapper", "topology", "accumulation", "exchange", "export")
+CHECKED = (
+    "scene",
+    "geometry",
+    "semantics",
+    "mapping",
+    "mapper",
+    "topology",
+    "accumulation",
+    "exchange",
+    "export",
+    "datasets",
+)
 install_import_hook([f"excavatwin.{room}" for room in CHECKED], "type_checks.checked")
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")

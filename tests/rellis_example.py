@@ -19,6 +19,7 @@ DIRT, GRASS, TREE, SKY = 1, 3, 4, 7
 SCALE = 8  # the photos are 240 x 150
 STEP = 0.4  # metres between scans, a tenth of a second apart
 START = 1581624663.0
+LATER = 0.21  # a photo is taken so much of a turn after its scan
 
 
 def ground_height(x: np.ndarray) -> np.ndarray:
@@ -45,8 +46,8 @@ def rotation(q: np.ndarray) -> np.ndarray:
     return np.eye(3) + 2 * w * S + 2 * S @ S
 
 
-def pose(k: int) -> np.ndarray:
-    """T_world_lidar of scan k: the world begins in the first scan, z up."""
+def pose(k: float) -> np.ndarray:
+    """T_world_lidar at scan k, or between two: the world begins in the first scan, z up."""
     T = np.eye(4)
     T[:3, 3] = (-STEP * k, 0.0, ground_height(np.array(-STEP * k)) - ground_height(np.array(0.0)))
     return T
@@ -58,8 +59,8 @@ def camera_pose() -> np.ndarray:
     return T
 
 
-def photo_label(k: int) -> np.ndarray:
-    """Class image of a photo taken with scan k, through the lens as OpenCV has it."""
+def photo_label(k: float) -> np.ndarray:
+    """Class image of a photo taken with (or after) scan k, through the lens as OpenCV has it."""
     import cv2
 
     fx, fy, cx, cy = FX_FY_CX_CY / SCALE
@@ -113,8 +114,8 @@ def write(
     for folder in folders.values():
         folder.mkdir(parents=True)
     for number, k in photos.items():
-        label = photo_label(k)
-        stem = f"frame{number:06d}-{int(START)}_{100 * k + 21:03d}"
+        label = photo_label(k + LATER)
+        stem = f"frame{number:06d}-{int(START)}_{round(100 * (k + LATER)):03d}"
         Image.fromarray(label).save(folders["label"] / f"{stem}.png")
         Image.fromarray(np.repeat(label[..., None] * 20, 3, -1)).save(folders["image"] / f"{stem}.jpg")
     for k in range(scans):

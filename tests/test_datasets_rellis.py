@@ -79,6 +79,11 @@ def test_the_calibration_is_tested_and_the_camera_looks_along_minus_x(rellis) ->
 def test_poses_place_photos_in_the_world_of_the_scans(rellis) -> None:
     """Returns of a scan, in the world, fall on pixels of their class in *another* photo."""
     recording = rellis.recording("00000")
+    for frame, k in zip(recording.frames[:2], (1, 3), strict=True):  # between two scans; the last one is after all
+        true = rellis_example.pose(k + rellis_example.LATER) @ rellis_example.camera_pose()
+        np.testing.assert_allclose(frame.T_W_cam, true, atol=1e-4)  # of the quaternion's length
+    last = rellis_example.pose(5) @ rellis_example.camera_pose()
+    np.testing.assert_allclose(recording.frames[2].T_W_cam, last, atol=1e-4)
     scan, frame = recording.scan("000002"), recording.frames[2]
     cloud = scan.cloud()
     world = transform(scan.T_W_L, cloud.xyz.astype(float))

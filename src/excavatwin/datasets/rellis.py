@@ -15,12 +15,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from excavatwin.datasets.folders import files_in, first_file, roots_below, subfolders
 from excavatwin.datasets.label_agreement import LEAST, Agreement, label_agreement
-from excavatwin.datasets.readers import read_ids, read_matrix, read_rgb, read_scan
+from excavatwin.datasets.readers import read_ids, read_rgb, read_scan
 from excavatwin.datasets.rellis_calibration import LENS, read_camera_info, read_transforms
+from excavatwin.datasets.rellis_poses import poses_at, read_poses
 from excavatwin.errors import InputError
 from excavatwin.scene.frames import invert_rigid
 from excavatwin.scene.recording import Dataset, Frame, Recording, Scan, Stored
@@ -91,7 +91,7 @@ def open_rellis(folders: Sequence[Path]) -> Dataset:
 
 def _recording(name: str, parts: Sequence[Path], splits: dict[str, str]) -> Recording:
     clock = _clock(parts)
-    poses = _poses(parts)
+    poses = read_poses(first_file(part / "poses.txt" for part in parts))
     labels = {file.stem: file for file in files_in((part / SCAN_LABELS for part in parts), ".label")}
     scans = tuple(
         Scan(
@@ -116,27 +116,21 @@ def _recording(name: str, parts: Sequence[Path], splits: dict[str, str]) -> Reco
 
 
 def _frames(name: str, parts: Sequence[Path], scans: Sequence[Scan], splits: dict[str, str]) -> tuple[Frame, ...]:
-    """Photos in order of time, paired with scans, placed by the pose of their scan."""
+    """Photos in order of time, each with its scan and the pose that the camera had between two scans."""
     labels = {file.stem: file for file in files_in((part / LABELS for part in parts), ".png")}
     camera = first_file(part / "camera_info.txt" for part in parts)
     transforms = first_file(part / "transforms.yaml" for part in parts)
     K_cam = read_camera_info(camera) if camera else None
     T_L_cam = read_transforms(transforms) if transforms else None
-    times = np.array([np.nan if scan.time is None else scan.time for scan in scans])
-    by_number = {int(scan.name): i for i, scan in enumerate(scans)}
+    stamped = [(stamp, f) for f in files_in((p / IMAGES for p in parts), ".jpg", ".png") if (stamp := _stamp(f.stem))]
+    stamped.sort(key=lambda entry: entry[0][1])
+    times = np.array([time for (_, time), _ in stamped])
+    T_W_L, between = poses_at(times, scans)
+    partners = _partners([stamp for stamp, _ in stamped], scans)
     frames = []
-    for file in files_in((part / IMAGES for part in parts), ".jpg", ".png"):
-        stamp = _stamp(file.stem)
-        if stamp is None:
-            continue
-        number, time = stamp
-        if np.isfinite(times).any():
-            nearest = int(np.nanargmin(np.abs(times - time)))
-            index = nearest if abs(times[nearest] - time) <= NEAR_IN_TIME else None
-        else:
-            index = by_number.get(number)
-        scan = scans[index] if index is not None else None
-        placed = scan is not None and scan.T_W_L is not None and T_L_cam is not None
+    for i, ((_, time), file) in enumerate(stamped):
+        scan = partners[i]
+        pose = T_W_L[i] if between[i] else scan.T_W_L if scan else None
         frames.append(
             Frame(
                 name=file.stem,
@@ -144,14 +138,29 @@ def _frames(name: str, parts: Sequence[Path], scans: Sequence[Scan], splits: dic
                 time=time,
                 K_cam=K_cam,
                 distortion=LENS if K_cam is not None else (0.0, 0.0, 0.0, 0.0),
-                T_W_cam=scan.T_W_L @ T_L_cam if placed else None,  # type: ignore[union-attr, operator]
+                T_W_cam=pose @ T_L_cam if pose is not None and T_L_cam is not None else None,
                 T_L_cam=T_L_cam,
                 label=Stored(labels[file.stem], read_ids) if file.stem in labels else None,
                 scan=scan.name if scan else None,
                 split=splits.get(f"{name}/{file.stem}"),
             )
         )
-    return tuple(sorted(frames, key=lambda frame: frame.time or 0.0))
+    return tuple(frames)
+
+
+def _partners(stamps: Sequence[tuple[int, float]], scans: Sequence[Scan]) -> list[Scan | None]:
+    """The scan nearest in time to each photo; the scan of its number where scans have no time."""
+    timed = sorted((scan.time, i) for i, scan in enumerate(scans) if scan.time is not None)
+    if not timed:
+        numbered = {int(scan.name): scan for scan in scans}
+        return [numbered.get(number) for number, _ in stamps]
+    clock = np.array([time for time, _ in timed])
+    found: list[Scan | None] = []
+    for _, time in stamps:
+        after = int(np.searchsorted(clock, time))
+        near = min(range(max(0, after - 1), min(after + 1, len(clock))), key=lambda k: abs(clock[k] - time))
+        found.append(scans[timed[near][1]] if abs(clock[near] - time) <= NEAR_IN_TIME else None)
+    return found
 
 
 @dataclass(frozen=True)
@@ -228,17 +237,6 @@ def _clock(parts: Sequence[Path]) -> dict[int, float]:
     """Time of each scan, by number."""
     stamps = (_stamp(file.stem) for file in files_in((part / STAMPED_SCANS for part in parts), ".ply"))
     return dict(stamp for stamp in stamps if stamp is not None)
-
-
-def _poses(parts: Sequence[Path]) -> Float64[np.ndarray, "n 4 4"]:
-    """T_world_lidar of every scan: rows of 3 x 4, row-major, as KITTI writes them."""
-    file = first_file(part / "poses.txt" for part in parts)
-    if file is None:
-        return np.zeros((0, 4, 4))
-    rows = read_matrix(file, 12)
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3] = rows.reshape(-1, 3, 4)
-    return poses
 
 
 def _splits(places: Sequence[Path]) -> dict[str, str]:

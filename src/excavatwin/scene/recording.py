@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -185,7 +186,11 @@ class Recording:
 
     def scan(self, name: str | None) -> Scan | None:
         """The scan of that name, or None."""
-        return next((scan for scan in self.scans if scan.name == name), None)
+        return self._scan_of.get(name)
+
+    @cached_property
+    def _scan_of(self) -> dict[str | None, Scan]:
+        return {scan.name: scan for scan in self.scans}
 
 
 @dataclass(frozen=True)
