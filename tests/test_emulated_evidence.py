@@ -10,7 +10,9 @@ import pytest
 import emulated_views
 from emulated_views import CAMERAS, SITE, agreement, by_cell
 from excavatwin.errors import InputError
+from excavatwin.evaluation.semantics import confusion, intersection_over_union
 from excavatwin.scene.taxonomy import K, TaskClass
+from excavatwin.simulation import orbit, random_site, render_view
 from excavatwin.simulation.emulators import Exact, Mask2FormerLike, VggtLike, YoloeLike, emulate
 from excavatwin.simulation.emulators.fields import anchored, footprint, patches
 
@@ -163,6 +165,24 @@ def test_fields_have_unit_spread_and_forget_themselves_over_their_wavelength(vie
     held = anchored(world.astype(np.float32), 4.0, 1, 3)
     assert 0.8 < held.std() < 1.2
     assert abs(np.mean(held[:, :-40] * held[:, 40:])) < 0.15
+
+
+def test_calibration_holds_loosely_on_one_site() -> None:
+    """benchmarks/emulator_calibration.py holds it within a point on the mean of eight sites."""
+    site = replace(random_site(100), cell=0.1)
+    cameras = orbit(4, width=518, aspect=392 / 518, seed=100)
+    views = [render_view(site, camera, samples=0) for camera in cameras]
+    true = np.array([view.label for view in views])
+    inside = np.array([(np.abs(view.points[..., :2]) <= site.extent / 2).all(-1) for view in views])
+    for segmenter, miou, coverage in (
+        (YoloeLike(), (0.5, 18.0), (0.5, 7.0)),
+        (Mask2FormerLike(), (24.0, 46.0), (85.0, 98.0)),
+    ):
+        evidence = np.array(segmenter(views, cameras, 100))
+        label = np.where(evidence.max(-1) >= 0.2, evidence.argmax(-1) + 1, 0).astype(np.uint8)
+        counts = confusion(label[inside], true[inside])
+        assert miou[0] < 100 * np.nanmean(intersection_over_union(counts)) < miou[1]
+        assert coverage[0] < 100 * counts[:, :K].sum() / counts.sum() < coverage[1]
 
 
 @pytest.mark.parametrize(
