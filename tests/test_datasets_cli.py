@@ -43,6 +43,14 @@ def test_without_a_folder_it_says_what_to_download(tmp_path) -> None:
     assert "orfd (there is no such folder)" in result.stdout
 
 
+def test_help_can_be_copied() -> None:
+    result = cli("--help")
+    assert result.returncode == 0
+    examples = [line for line in result.stdout.splitlines() if line.startswith("  excavatwin ")]
+    assert len(examples) == 4
+    assert max(map(len, examples)) < 80
+
+
 def test_a_folder_is_recognised_tested_and_counted(tmp_path) -> None:
     rellis_example.write(tmp_path / "rellis-3d")
     by_path, by_name = cli(tmp_path / "rellis-3d"), cli("rellis-3d", "--all", datasets=tmp_path)

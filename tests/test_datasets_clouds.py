@@ -184,6 +184,15 @@ def test_real_orfd_sequence(shared_data) -> None:
     assert 2 < np.nanmedian(frame.depth()) < 40
     assert recording.photos is not None
     assert len(list(recording.photos.iterdir())) == 6
+    # The road ahead is level in the direction that the calibration calls up, some 2 m below the camera.
+    depth, K = frame.depth(), frame.K_cam
+    row, col = np.mgrid[520:700:4, 450:850:4]
+    z = depth[row, col]
+    p = np.stack([(col + 0.5 - K[0, 2]) / K[0, 0] * z, (row + 0.5 - K[1, 2]) / K[1, 1] * z, z], -1)[np.isfinite(z)]
+    normal = np.linalg.svd(p - p.mean(0), full_matrices=False)[2][2]
+    normal *= np.sign(normal @ frame.up_cam)
+    assert np.degrees(np.arccos(normal @ frame.up_cam)) < 2
+    assert 1.5 < -p.mean(0) @ normal < 2.5
 
 
 def test_a_folder_of_several_data_sets_is_not_guessed(tmp_path) -> None:

@@ -9,7 +9,14 @@ import pytest
 from PIL import Image
 
 import rellis_example
-from excavatwin.datasets import ElevationProtocol, elevation_windows, examine, open_dataset, task_labels
+from excavatwin.datasets import (
+    ElevationProtocol,
+    elevation_windows,
+    examine,
+    official_table,
+    open_dataset,
+    task_labels,
+)
 from excavatwin.datasets.label_agreement import label_agreement
 from excavatwin.datasets.rellis_elevation import ground_ids
 from excavatwin.errors import InputError
@@ -201,6 +208,29 @@ def test_labels_become_task_classes_under_a_policy(rellis) -> None:
     assert set(np.unique(strict[raw == rellis_example.GRASS])) == {2}
     assert set(np.unique(strict[raw == rellis_example.DIRT])) == {1}
     assert set(np.unique(strict[raw == rellis_example.SKY])) == {255}
+
+
+def test_ids_that_stand_for_others_are_replaced(tmp_path) -> None:
+    rellis_example.write(tmp_path)
+    image, scan = next(tmp_path.rglob("frame000000*.png")), next(tmp_path.rglob("000001.label"))
+    ids, told = np.array(Image.open(image)), np.fromfile(scan, "<u4")
+    Image.fromarray(np.where(ids == 3, 29, ids).astype(np.uint8)).save(image)
+    np.where(told == 3, 30, told).astype("<u4").tofile(scan)
+    dataset = open_dataset(tmp_path)
+    recording = dataset.recording("00000")
+    np.testing.assert_array_equal(recording.frames[0].label(), ids)
+    assert set(np.unique(recording.scan("000001").cloud().label)) <= {1, 3, 4}
+    assert examine(dataset, everything=True).problems == ()
+
+
+def test_the_official_evaluation_has_18_classes_and_no_dirt() -> None:
+    """The table that the authors' benchmark code applies, as its ids are printed there."""
+    table = official_table()
+    official = {
+        0: 0, 1: 0, 3: 1, 4: 2, 5: 3, 6: 4, 7: 5, 8: 6, 9: 7, 10: 8, 12: 9, 15: 10, 17: 11, 18: 12, 19: 13, 23: 14,
+        27: 15, 29: 1, 30: 1, 31: 16, 32: 4, 33: 17, 34: 18,
+    }  # fmt: skip
+    assert {i: int(k) for i, k in enumerate(table) if k != 255} == official
 
 
 def test_a_folder_without_sequences_is_not_rellis(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from excavatwin.datasets.catalogue import SOURCES, Source
 from excavatwin.datasets.examination import Examination, examine
 from excavatwin.datasets.goose_classes import CHALLENGE, challenge_table
 from excavatwin.datasets.recognition import ENVIRONMENT, dataset_folder, open_dataset, recognise
+from excavatwin.datasets.rellis_classes import official_table
 from excavatwin.datasets.rellis_elevation import ElevationProtocol, elevation_windows
 from excavatwin.datasets.task_labels import task_labels, task_table
 
@@ -24,6 +25,7 @@ __all__ = [
     "dataset_folder",
     "elevation_windows",
     "examine",
+    "official_table",
     "open_dataset",
     "recognise",
     "task_labels",

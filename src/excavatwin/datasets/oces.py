@@ -6,6 +6,7 @@ Each epoch is one recording, ``"<sequence>/epoch_00"``.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -119,7 +120,22 @@ def _recording(name: str, place: Path, told: dict[str, Any], cameras: dict[str, 
         truth=place / "truth.npz",
         georeference=georeference,
         platform=told.get("flight"),
+        time=_time(told, place),
     )
+
+
+def _time(told: dict[str, Any], place: Path) -> float | None:
+    """When an epoch was recorded, from the ISO 8601 times of its sequence [s]."""
+    by_epoch = dict(zip(told.get("epochs", ()), told.get("times", ()), strict=False))
+    if place.name not in by_epoch:
+        return None
+    try:
+        moment = datetime.fromisoformat(str(by_epoch[place.name]))
+    except ValueError:
+        raise InputError(
+            f"{place.parent / 'sequence.json'} holds the time {by_epoch[place.name]!r}; expected ISO 8601."
+        ) from None
+    return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
 
 
 def _frame(place: Path, entry: dict[str, Any]) -> Frame:

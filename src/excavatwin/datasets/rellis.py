@@ -18,19 +18,18 @@ import numpy as np
 
 from excavatwin.datasets.folders import files_in, first_file, roots_below, subfolders
 from excavatwin.datasets.label_agreement import LEAST, Agreement, label_agreement
-from excavatwin.datasets.readers import read_ids, read_rgb, read_scan
+from excavatwin.datasets.readers import read_rgb
 from excavatwin.datasets.rellis_calibration import LENS, read_camera_info, read_transforms
+from excavatwin.datasets.rellis_classes import VOCABULARY, read_labelled_scan, read_labels
 from excavatwin.datasets.rellis_poses import poses_at, read_poses
 from excavatwin.errors import InputError
 from excavatwin.scene.frames import invert_rigid
 from excavatwin.scene.recording import Dataset, Frame, Recording, Scan, Stored
 
-VOCABULARY = "rellis-3d"
 IMAGES, LABELS = "pylon_camera_node", "pylon_camera_node_label_id"
 SCANS, SCAN_LABELS = "os1_cloud_node_kitti_bin", "os1_cloud_node_semantickitti_label_id"
 #: Folder of coloured clouds whose file names carry the time of each scan.
 STAMPED_SCANS = "os1_cloud_node_color_ply"
-HIGHEST_ID = 34
 #: Photo and scan belong together when their times differ by less: half a turn of the scanner at 10 Hz [s].
 NEAR_IN_TIME = 0.06
 #: Photos of a sequence that the self-check tries when photos and scans had to be paired by number.
@@ -96,7 +95,7 @@ def _recording(name: str, parts: Sequence[Path], splits: dict[str, str]) -> Reco
     scans = tuple(
         Scan(
             name=file.stem,
-            cloud=Stored(file, partial(read_scan, labels=labels.get(file.stem), highest=HIGHEST_ID)),
+            cloud=Stored(file, partial(read_labelled_scan, labels=labels.get(file.stem))),
             time=clock.get(int(file.stem)),
             labelled=file.stem in labels,
             T_W_L=poses[int(file.stem)] if int(file.stem) < len(poses) else None,
@@ -140,7 +139,7 @@ def _frames(name: str, parts: Sequence[Path], scans: Sequence[Scan], splits: dic
                 distortion=LENS if K_cam is not None else (0.0, 0.0, 0.0, 0.0),
                 T_W_cam=pose @ T_L_cam if pose is not None and T_L_cam is not None else None,
                 T_L_cam=T_L_cam,
-                label=Stored(labels[file.stem], read_ids) if file.stem in labels else None,
+                label=Stored(labels[file.stem], read_labels) if file.stem in labels else None,
                 scan=scan.name if scan else None,
                 split=splits.get(f"{name}/{file.stem}"),
             )
