@@ -7,6 +7,8 @@
 from __future__ import annotations
 
 from excavatwin.simulation.camera import Camera, look_at, orbit
+from excavatwin.simulation.change import Change, change_truth
+from excavatwin.simulation.digging import Digging, digging_series
 from excavatwin.simulation.layout import random_site
 from excavatwin.simulation.observations import exact_observations
 from excavatwin.simulation.render import RenderedView, render_view
@@ -16,10 +18,14 @@ from excavatwin.simulation.truth import save_truth, site_truth
 
 __all__ = [
     "Camera",
+    "Change",
     "DigSite",
+    "Digging",
     "Earthworks",
     "Placement",
     "RenderedView",
+    "change_truth",
+    "digging_series",
     "exact_observations",
     "look_at",
     "orbit",

@@ -108,6 +108,19 @@ class Body:
             local = np.concatenate([np.c_[ring * np.sqrt(1 - z * z), np.full(count, z)] for z in heights])
         return self.centre + (local * self.half) @ self.axes.T
 
+    def farthest(self, directions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n"]:
+        """Largest coordinate of the body along each unit vector: its support function [m, frame M]."""
+        x, y, z = ((directions @ self.axes) * self.half).T
+        if self.kind == Kind.BOX:
+            reach = np.abs(x) + np.abs(y) + np.abs(z)
+        elif self.kind in (Kind.CYLINDER, Kind.TUBE):
+            reach = np.hypot(x, y) + np.abs(z)
+        elif self.kind == Kind.CONE:
+            reach = np.maximum(z, np.hypot(x, y) - z)
+        else:
+            reach = np.sqrt(x * x + y * y + z * z)
+        return directions @ self.centre + reach
+
 
 def body_arrays(bodies: list[Body], labels: list[int], instances: list[int]) -> BodyArrays:
     """Pack bodies with their class and object ids, and build the tree by halving along the longest axis."""

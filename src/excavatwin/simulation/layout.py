@@ -13,15 +13,11 @@ from excavatwin.simulation import models
 from excavatwin.simulation.bodies import Body, Material
 from excavatwin.simulation.machines import Dumper, Excavator, Truck
 from excavatwin.simulation.people import Block, Person, Pipes
+from excavatwin.simulation.posing import aimed
 from excavatwin.simulation.site import DigSite, Placement, Plant
-from excavatwin.simulation.terrain import inside_box, local
 from excavatwin.simulation.worksite import Cut, GravelPad, Heap, Track, Worksite
-from excavatwin.simulation.yard import Yard
+from excavatwin.simulation.yard import EDGE, Yard, sweep
 
-EDGE = 1.0
-"""Least distance of everything but plants from the border of the extent [m]."""
-REACH = 5.3
-"""Radius that the machine's boom sweeps, with a margin [m]."""
 HELMETS = (Material.WHITE_PAINT, Material.YELLOW_PAINT, Material.BLUE_PAINT, Material.RED_PAINT)
 TRIES = 60
 """Layouts that are drawn before giving up."""
@@ -72,9 +68,9 @@ def _draw(seed: int, rng: np.random.Generator) -> DigSite:
     inside = site.extent / 2 - EDGE
     outside = np.maximum(np.abs(yard.x), np.abs(yard.y)) > inside
     yard.take(outside)
-    draft = Draft(rng, yard, _area(rng), site)
-    soil = _depth_in_soil(draft)
-    gravel = _gravel(draft)
+    draft = Draft(rng, yard, _gravel(rng, _area(rng)), site)
+    soil = draft.works.soil_depth(yard.x, yard.y)
+    gravel = draft.works.gravel_depth(yard.x, yard.y) > -0.3
     _dig(draft, (soil > 0.3) & ~gravel)
     _heaps(draft, (soil > -0.3) & ~gravel)
     _stand(draft, soil, gravel)
@@ -97,25 +93,16 @@ def _area(rng: np.random.Generator) -> Worksite:
     )
 
 
-def _depth_in_soil(draft: Draft) -> np.ndarray:
-    """Distance inside the smooth outline of the work area [m]."""
-    return draft.works.soil_depth(draft.yard.x, draft.yard.y)
-
-
-def _gravel(draft: Draft) -> np.ndarray:
-    """Draw a track along the side of the work area, or a pad in it; the cells of gravel."""
-    rng, yard = draft.rng, draft.yard
+def _gravel(rng: np.random.Generator, works: Worksite) -> Worksite:
+    """Draw a track along the side of the work area, or a pad in it."""
     if rng.random() < 0.6:
         offset = float(rng.uniform(7.5, 9.5) * rng.choice((-1, 1)))
         yaw = float(90 * rng.integers(4) + rng.uniform(-8, 8))  # it leaves the modelled square at about a right angle
-        track = Track(offset, yaw, float(rng.uniform(3.0, 3.8)), 1.2, float(rng.uniform(0, 6)))
-        draft.works = replace(draft.works, track=track)
-        return np.abs(track.across(yard.x, yard.y)) < track.width / 2 + 0.3
+        return replace(works, track=Track(offset, yaw, float(rng.uniform(3.0, 3.8)), 1.2, float(rng.uniform(0, 6))))
     angle, away = rng.uniform(0, 2 * np.pi), rng.uniform(8, 9.5)
     at = (float(away * np.cos(angle)), float(away * np.sin(angle)))
     pad = GravelPad(at, float(rng.uniform(-180, 180)), (float(rng.uniform(6, 8)), float(rng.uniform(4.5, 6))))
-    draft.works = replace(draft.works, gravel_pads=(pad,))
-    return inside_box(*local(yard.x, yard.y, pad.at, pad.yaw), *pad.size, 0.6) > -0.3
+    return replace(works, gravel_pads=(pad,))
 
 
 def _pit(rng: np.random.Generator, at: tuple[float, float]) -> Cut:
@@ -137,21 +124,22 @@ def _dig(draft: Draft, allowed: np.ndarray) -> None:
     rng, yard = draft.rng, draft.yard
     kinds = [(_pit,), (_trench,), (_pit, _trench)][int(rng.choice(3, p=[0.4, 0.25, 0.35]))]
     for number, kind in enumerate(kinds):
-        spread = 2.0 if number == 0 else 7.0
-        for _ in range(150):
+        good = allowed & yard.free
+        spread, growth = (2.0, 2.8) if number == 0 else (7.0, 0.0)
+        for _ in range(200):
             at = np.array(draft.works.area_at) + rng.uniform(-spread, spread, 2)
             cut = kind(rng, (float(at[0]), float(at[1])))
-            inside = cut.inside(yard.x, yard.y)
-            ample = inside > -(0.9 if number == 0 else 0.6)  # to lengthen later; to walk around
-            if (ample & ~(allowed & yard.free)).any():
+            longer = replace(cut, size=(cut.size[0] + growth, cut.size[1]))  # as it may become, at either end
+            if not yard.fits(longer, 0.6, good):
                 continue
             if number == 0:
                 spot = _beside(rng, cut)
-                if (yard.disc(*spot[:2], 2.0) & (~(allowed & yard.free) | (inside > -0.3))).any():
+                stand = yard.disc(*spot[:2], 2.0)
+                if (stand & (~good | (cut.inside(yard.x, yard.y) > -0.3))).any():
                     continue
                 draft.put("excavator", Excavator(), *spot, 1.6, "excavator")
-                yard.take(yard.disc(*spot[:2], 2.0))
-            yard.take(ample)
+                yard.take(stand)
+            yard.take(longer.inside(yard.x, yard.y) > -0.6)
             draft.works = replace(draft.works, cuts=(*draft.works.cuts, cut))
             break
         else:
@@ -174,40 +162,47 @@ def _heaps(draft: Draft, allowed: np.ndarray) -> None:
     """Tip the first heap within the machine's swing, sometimes another elsewhere; aim the boom."""
     rng, yard = draft.rng, draft.yard
     machine, cut = draft.placements[0], draft.works.cuts[0]
+    soil = 1.25 * sum(_soil_in(c) for c in draft.works.cuts)  # loose, as if all of it had stayed here
     to_cut = np.rad2deg(np.arctan2(cut.at[1] - machine.y, cut.at[0] - machine.x))
+    good = allowed & yard.free
     for _ in range(200):
-        heap = _heap(rng)
-        turn = float(rng.choice((-1, 1)) * rng.uniform(65, 140))
+        heap = _heap(rng, 0.7 * soil)
         away = 2.1 + 1.35 * heap.reach + rng.uniform(0.0, 0.6)
-        a = np.deg2rad(to_cut + turn)
+        a = np.deg2rad(to_cut + rng.choice((-1, 1)) * rng.uniform(65, 140))
         at = (machine.x + away * float(np.cos(a)), machine.y + away * float(np.sin(a)))
-        heap = Heap(at, float(np.rad2deg(a)) + 90 + float(rng.uniform(-25, 25)), heap.ridge, heap.height, heap.repose)
-        if not (_grown(heap, yard) & ~(allowed & yard.free)).any():
+        heap = replace(heap, at=at, yaw=float(np.rad2deg(a) + 90 + rng.uniform(-25, 25)))
+        if yard.fits(heap, 0.35 * heap.reach + 0.2, good):
             break
     else:
         raise NoRoom
-    yard.take(_grown(heap, yard))
-    first, last = sorted((0.0, turn))
-    yard.take(yard.sector(machine.x, machine.y, REACH, to_cut + first - 20, to_cut + last + 20))
+    yard.take(heap.inside(yard.x, yard.y) > -0.35 * heap.reach - 0.2)
+    works = replace(draft.works, heaps=(heap,))
+    yard.take(sweep(replace(draft.site, earthworks=works, placements=tuple(draft.placements)), yard))
     heaps = [heap]
     if rng.random() < 0.4:
-        other = _heap(rng)
+        other = _heap(rng, 0.3 * soil)
         spot = yard.find(rng, 1.2 * other.reach + other.ridge / 2, allowed=allowed)
         if spot is not None:
-            heaps.append(Heap(spot, float(rng.uniform(0, 180)), other.ridge, other.height, other.repose))
+            heaps.append(replace(other, at=spot, yaw=float(rng.uniform(0, 180))))
     draft.works = replace(draft.works, heaps=tuple(heaps))
-    swing = (to_cut - machine.yaw + rng.uniform(-8, 8) + 180) % 360 - 180
-    pose = Excavator.reaching(float(rng.uniform(3.0, 4.1)), float(rng.uniform(0.3, 1.1)), float(swing), -75.0)
+    state = replace(draft.site, earthworks=draft.works, placements=tuple(draft.placements))
+    pose = aimed(state, machine, cut.at, float(rng.uniform(3.0, 4.0)), float(rng.uniform(-8, 8)), tipping=False)
     draft.placements[0] = replace(machine, model=pose)
 
 
-def _heap(rng: np.random.Generator) -> Heap:
-    return Heap((0.0, 0.0), 0.0, float(rng.uniform(0.0, 2.2)), float(rng.uniform(0.9, 1.7)), float(rng.uniform(31, 38)))
+def _heap(rng: np.random.Generator, most: float) -> Heap:
+    """A heap somewhere, of at most about ``most`` cubic metres, but not below 0.7 m."""
+    ridge, height, repose = rng.uniform((0.0, 0.9, 31.0), (2.2, 1.7, 38.0)).tolist()
+    reach = 1 / np.tan(np.deg2rad(repose))
+    while height > 0.7 and reach * height**2 * (np.pi / 3 * reach * height + ridge) > most:
+        height -= 0.02
+    return Heap((0.0, 0.0), 0.0, ridge, height, repose)
 
 
-def _grown(heap: Heap, yard: Yard) -> np.ndarray:
-    """Cells of a heap with room for a third more of reach."""
-    return heap.inside(yard.x, yard.y) > -0.35 * heap.reach - 0.2
+def _soil_in(cut: Cut) -> float:
+    """About the volume of a cut: its section halfway down times its depth [m3]."""
+    lost = cut.depth / np.tan(np.deg2rad(cut.wall))
+    return float(cut.depth * max(cut.size[0] - lost, 0) * max(cut.size[1] - lost, 0))
 
 
 def _stand(draft: Draft, soil: np.ndarray, gravel: np.ndarray) -> None:
@@ -275,19 +270,10 @@ def _plants(draft: Draft, soil: np.ndarray, gravel: np.ndarray, outside: np.ndar
         (models.bush, 14, (0.8, 1.6), (0.55 * half, 1.3 * half), 1.0),
         (models.tuft, 130, (0.3, 0.65), (0.3 * half, 1.3 * half), 0.35),
     )
+    yard.free = ~taken & (far < half + 6.5)
     plants: list[Plant] = []
     for model, count, (low, high), (inner, outer), room in kinds:
         band = (far > inner) & (far < outer) & ~gravel & (soil < (0.6 if model is models.tuft else -room))
-        yard.free = ~taken & (far < half + 6.5)
-        for _ in range(round(count * much)):
-            at = yard.find(rng, room, np.where(band, 1.0, 0.0) + 0.0)
-            if at is None or not band[_cell(yard, at)]:
-                break
-            taken |= yard.disc(*at, room)
-            plants.append(Plant(model, *at, float(rng.uniform(low, high)), int(rng.integers(2**31))))
+        for x, y in yard.scatter(rng, round(count * much), room, band):
+            plants.append(Plant(model, x, y, float(rng.uniform(low, high)), int(rng.integers(2**31))))
     return tuple(plants)
-
-
-def _cell(yard: Yard, at: tuple[float, float]) -> tuple[int, int]:
-    """Row and column of the cell at a place."""
-    return int(np.abs(yard.axis - at[1]).argmin()), int(np.abs(yard.axis - at[0]).argmin())

@@ -39,7 +39,7 @@ class Excavator:
     """From the arm's line to the bucket's (pin to teeth); negative curls it in."""
 
     def __post_init__(self) -> None:
-        limits = (("boom", -45, 80), ("arm", -160, -20), ("bucket", -150, 40))
+        limits = (("boom", -45, 80), ("arm", -160, -20), ("bucket", -150, 60))
         for name, low, high in limits:
             if not low <= getattr(self, name) <= high:
                 raise InputError(

@@ -88,6 +88,11 @@ class DigSite:
         return self.extent / 2 + self.margin
 
     @property
+    def pads(self) -> tuple[Pad, ...]:
+        """The levelled places under the objects."""
+        return tuple(Pad(p.x, p.y, p.pad) for p in self.placements)
+
+    @property
     def to_sun(self) -> Float64[np.ndarray, "3"]:
         """Unit vector towards the sun, frame M."""
         azimuth, elevation = np.deg2rad(self.sun)
@@ -120,8 +125,7 @@ def contents(site: DigSite) -> Contents:
                 f"The {place.name} is to stand at ({place.x:g}, {place.y:g}) m, outside the site of {site.extent:g} m; "
                 "move it, or make the site larger."
             )
-    pads = tuple(Pad(p.x, p.y, p.pad) for p in site.placements)
-    ground = site.earthworks.ground(site.half, site.cell, pads, site.seed)
+    ground = terrain(site.earthworks, site.half, site.cell, site.pads, site.seed)
     bodies: list[Body] = []
     labels: list[int] = []
     instances: list[int] = []
@@ -138,6 +142,12 @@ def contents(site: DigSite) -> Contents:
     labels += [int(TaskClass.REMOVABLE_COVER)] * len(cover)
     instances += [0] * len(cover)
     return Contents(ground, bodies, labels, instances, tuple(objects))
+
+
+@lru_cache(maxsize=3)
+def terrain(earthworks: Earthworks | Worksite, half: float, cell: float, pads: tuple[Pad, ...], seed: int) -> Ground:
+    """The ground of a site."""
+    return earthworks.ground(half, cell, pads, seed)
 
 
 def ground_height(ground: Ground, x: float, y: float) -> float:
@@ -197,24 +207,29 @@ def diggable(ground: Ground, x: float, y: float, room: float) -> bool:
 
 
 def describe(object_id: int, task_class: TaskClass, parts: list[Body]) -> MapObject:
-    """The exact box of an object: the smallest upright box about its bodies."""
+    """The exact box of an object: the smallest upright box about its bodies.
+
+    The direction is that of an edge of the hull of points on the bodies; the extents are exact for that direction.
+    """
     from scipy.spatial import ConvexHull
 
     points = np.concatenate([body.outline(96) for body in parts])
     hull = points[ConvexHull(points[:, :2]).vertices, :2]
     edges = np.roll(hull, -1, axis=0) - hull
-    best: tuple[float, float, np.ndarray, np.ndarray] | None = None
-    for angle in np.arctan2(edges[:, 1], edges[:, 0]):
-        turn = models.turn_z(-angle)[:2, :2]
-        low, high = (hull @ turn.T).min(0), (hull @ turn.T).max(0)
-        area = float(np.prod(high - low))
-        if best is None or area < best[0]:
-            best = area, float(angle), turn.T @ (low + high) / 2, high - low
-    assert best is not None
-    _, angle, middle, size = best
+    best, angle = np.inf, 0.0
+    for candidate in np.arctan2(edges[:, 1], edges[:, 0]):
+        turned = hull @ models.turn_z(-candidate)[:2, :2].T
+        area = float(np.prod(np.ptp(turned, axis=0)))
+        if area < best:
+            best, angle = area, float(candidate)
+    turn = models.turn_z(angle)
+    directions = np.concatenate([turn.T, -turn.T])
+    reach = np.max([body.farthest(directions) for body in parts], axis=0)
+    high, low = reach[:3], -reach[3:]
+    middle, size = turn[:2, :2] @ ((low + high) / 2)[:2], (high - low)[:2]
     if size[1] > size[0]:
         angle, size = angle + np.pi / 2, size[::-1]
-    z_base, z_top = float(points[:, 2].min()), float(points[:, 2].max())
+    z_base, z_top = float(low[2]), float(high[2])
     corners = 0.5 * size * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     return MapObject(
         object_id=object_id,

@@ -14,9 +14,11 @@ from jaxtyping import Float64
 from excavatwin.kernels.noise import noise_raster
 from excavatwin.simulation.terrain import Ground, Pad, inside_box, inside_heap, local, smoothstep
 
-FOOT = 0.10
-"""Half width over which the outline of cuts and heaps wanders [m]."""
-CLODS = 0.05
+FOOT, RIM = 0.18, 0.08
+"""Half width over which the foot of a heap and the rim of a cut wander [m]."""
+AROUND = 3.0
+"""Margin about cuts and heaps in which the distance to them is known [m]."""
+CLODS = 0.07
 """Amplitude of the clods on freshly moved soil [m]."""
 
 
@@ -31,16 +33,18 @@ class Cut:
     size: tuple[float, float]
     """Length and width at the top [m]."""
     depth: float
-    """Of the floor below the natural ground at the centre [m]."""
+    """Of the floor below the natural ground at its datum [m]."""
     wall: float = 70.0
     """Steepness of the walls [deg]."""
     corner: float = 0.4
     """Radius of the corners [m]."""
+    datum: tuple[float, float] | None = None
+    """Where the depth is measured, if not at the centre: a cut that is lengthened keeps its floor."""
 
     def inside(self, x: np.ndarray, y: np.ndarray, wobble: np.ndarray | float = 0.0) -> np.ndarray:
         """Distance inside its upper edge, negative outside [m]."""
         u, v = local(x, y, self.at, self.yaw)
-        return inside_box(u, v, *self.size, self.corner) + FOOT * wobble
+        return inside_box(u, v, *self.size, self.corner) + RIM * wobble
 
     def taken(self, natural: np.ndarray, floor: float, inside: np.ndarray) -> np.ndarray:
         """Height of soil taken away [m], given the natural ground and the elevation of the floor."""
@@ -126,6 +130,14 @@ class Layers:
     gravel: Float64[np.ndarray, "Y X"]
 
 
+def window(
+    xs: Float64[np.ndarray, "X"], ys: Float64[np.ndarray, "Y"], at: tuple[float, float], reach: float
+) -> tuple[slice, slice]:
+    """Rows and columns of two ascending axes within ``reach`` of a place."""
+    rows, cols = (np.searchsorted(axis, (c - reach, c + reach)) for axis, c in ((ys, at[1]), (xs, at[0])))
+    return slice(int(rows[0]), int(rows[1])), slice(int(cols[0]), int(cols[1]))
+
+
 @dataclass(frozen=True)
 class Worksite:
     """Shape of the ground; positions in metres of frame M, whose origin is the site's centre."""
@@ -180,27 +192,35 @@ class Worksite:
         x, y = xs[None, :], ys[:, None]
         border = smoothstep(half, half - 3, np.maximum(np.abs(x), np.abs(y)))
         natural, quiet = self._natural(xs, ys, half, pads, seed)
-        wobble = noise_raster(xs, ys, 2.2, 2.2, 0.5, 5, seed + 1).astype(float)
+        wobble = self.wobble(xs, ys, seed)
         lumps = noise_raster(xs, ys, 0.5, 1.9, 0.62, 5, seed + 2).astype(float)
-        soil, gravel = self.soil_depth(x, y) + 1.1 * wobble, self._gravel(x, y, wobble)
+        soil, gravel = self.soil_depth(x, y) + 1.1 * wobble, self.gravel_depth(x, y) + 0.22 * wobble
         grain = np.where(gravel > 0, 0.008, np.where(soil > 0, 0.014, 0.012))
         rough = self.roughness * border * quiet * (grain * lumps - self._ruts(x, y))
         added, taken = np.zeros_like(natural), np.zeros_like(natural)
-        dug = np.full_like(natural, -np.inf)
+        dug = np.full_like(natural, -AROUND)
         clods = self.roughness * wobble
         for heap in self.heaps:
-            inside = heap.inside(x, y, clods)
-            added = np.maximum(added, heap.added(inside, clods))
-            dug = np.maximum(dug, inside)
+            near = window(xs, ys, heap.at, heap.ridge / 2 + heap.reach + AROUND)
+            inside = heap.inside(x[:, near[1]], y[near[0]], clods[near])
+            added[near] = np.maximum(added[near], heap.added(inside, clods[near]))
+            dug[near] = np.maximum(dug[near], inside)
         for cut in self.cuts:
-            inside = cut.inside(x, y, clods)
-            taken = np.maximum(taken, cut.taken(natural, self.floor(cut, half, pads, seed), inside))
-            dug = np.maximum(dug, inside + 0.15)
-        return Layers(natural, rough, added, taken, soil, np.maximum(dug, -100.0), gravel)
+            near = window(xs, ys, cut.at, float(np.hypot(*cut.size)) / 2 + AROUND)
+            inside = cut.inside(x[:, near[1]], y[near[0]], clods[near])
+            floor = self.floor(cut, half, pads, seed)
+            taken[near] = np.maximum(taken[near], cut.taken(natural[near], floor, inside))
+            dug[near] = np.maximum(dug[near], inside + 0.15)
+        return Layers(natural, rough, added, taken, soil, dug, gravel)
+
+    @staticmethod
+    def wobble(xs: Float64[np.ndarray, "X"], ys: Float64[np.ndarray, "Y"], seed: int) -> Float64[np.ndarray, "Y X"]:
+        """Noise of metres and less, about -1..1, that makes outlines ragged and moved soil lumpy."""
+        return noise_raster(xs, ys, 2.2, 2.2, 0.5, 5, seed + 1).astype(float)
 
     def floor(self, cut: Cut, half: float, pads: tuple[Pad, ...], seed: int) -> float:
         """Elevation of the floor of a cut [m]."""
-        at = np.array(cut.at, float)
+        at = np.array(cut.datum or cut.at, float)
         natural, _ = self._natural(at[:1], at[1:], half, pads, seed)
         return float(natural[0, 0]) - cut.depth
 
@@ -214,15 +234,13 @@ class Worksite:
         z = self._meadow(xs, ys, half, seed)
         weight, quiet = np.ones_like(z), np.ones_like(z)
         for px, py, radius in sorted({(p.x, p.y, p.radius) for p in (*pads, *self.levelled)}):
-            far = radius + 1.0
-            rows = slice(*np.searchsorted(ys, (py - far, py + far)))
-            cols = slice(*np.searchsorted(xs, (px - far, px + far)))
-            distance = np.hypot(xs[None, cols] - px, ys[rows, None] - py)
-            near = smoothstep(far, radius + 0.1, distance)
-            pull = near / (1 - near + 1e-6)
-            z[rows, cols] += pull * self._meadow(np.array([px]), np.array([py]), half, seed)
-            weight[rows, cols] += pull
-            quiet[rows, cols] *= 1 - near
+            near = window(xs, ys, (px, py), radius + 1.0)
+            distance = np.hypot(xs[None, near[1]] - px, ys[near[0], None] - py)
+            level = smoothstep(radius + 1.0, radius + 0.1, distance)
+            pull = level / (1 - level + 1e-6)
+            z[near] += pull * self._meadow(np.array([px]), np.array([py]), half, seed)
+            weight[near] += pull
+            quiet[near] *= 1 - level
         return z / weight, quiet
 
     def _meadow(self, xs: np.ndarray, ys: np.ndarray, half: float, seed: int) -> np.ndarray:
@@ -239,15 +257,15 @@ class Worksite:
         radius = (np.abs(u / a) ** self.area_power + np.abs(v / b) ** self.area_power) ** (1 / self.area_power)
         return min(a, b) * (1 - radius)
 
-    def _gravel(self, x: np.ndarray, y: np.ndarray, wobble: np.ndarray) -> np.ndarray:
-        """Distance inside track and gravel pads [m]."""
-        inside = np.full_like(wobble, -100.0)
+    def gravel_depth(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Distance inside the smooth outline of track and gravel pads [m]."""
+        inside = np.full(np.broadcast_shapes(x.shape, y.shape), -100.0)
         if self.track is not None:
             inside = np.maximum(inside, self.track.width / 2 - np.abs(self.track.across(x, y)))
         for pad in self.gravel_pads:
             u, v = local(x, y, pad.at, pad.yaw)
             inside = np.maximum(inside, inside_box(u, v, *pad.size, 0.6))
-        return inside + 0.22 * wobble
+        return inside
 
     def _ruts(self, x: np.ndarray, y: np.ndarray) -> np.ndarray | float:
         """Depth of the two wheel ruts of the track [m]."""

@@ -7,8 +7,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from excavatwin.simulation.machines import Excavator
+from excavatwin.simulation.site import DigSite
+from excavatwin.simulation.worksite import Cut, Heap, Worksite
+
 STEP = 0.12
 """Edge of the plan's cells [m]."""
+EDGE = 1.0
+"""Least distance of everything but plants from the border of the extent [m]."""
+REACH = 5.3
+"""Radius that the machine's boom sweeps, with a margin [m]."""
 
 
 @dataclass
@@ -48,6 +56,31 @@ class Yard:
         free = self.free if allowed is None else self.free & allowed
         return np.asarray(distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * STEP)
 
+    def fits(self, thing: Cut | Heap, around: float, good: Bool[np.ndarray, "n n"]) -> bool:
+        """Whether a cut or heap, and what lies within ``around`` of it, is all on good cells."""
+        for stride in (6, 1):  # most misfits show on few cells
+            part = (slice(None, None, stride),) * 2
+            if ((thing.inside(self.x[part], self.y[part]) > -around) & ~good[part]).any():
+                return False
+        return True
+
+    def scatter(
+        self, rng: np.random.Generator, count: int, radius: float, allowed: Bool[np.ndarray, "n n"]
+    ) -> list[tuple[float, float]]:
+        """Up to ``count`` random places in ``allowed`` with ``radius`` of free room each, and take them."""
+        fit = allowed & (self.room() > radius)
+        places = []
+        for _ in range(count):
+            cells = np.flatnonzero(fit)
+            if len(cells) == 0:
+                break
+            row, col = np.unravel_index(cells[int(rng.integers(len(cells)))], fit.shape)
+            x, y = float(self.axis[col]), float(self.axis[row])
+            fit &= ~self.disc(x, y, 2 * radius)
+            self.take(self.disc(x, y, radius))
+            places.append((x, y))
+        return places
+
     def find(
         self,
         rng: np.random.Generator,
@@ -72,3 +105,44 @@ class Yard:
         x, y = (float(self.axis[k[pick]]) for k in (cols, rows))
         self.take(self.disc(x, y, radius))
         return x, y
+
+
+def occupied(site: DigSite, skip_cut: bool = False, skip_heap: bool = False, ample: bool = False) -> Yard:
+    """The plan of a finished site: border, objects, plants, cuts and heaps are taken.
+
+    Args:
+        skip_cut: leave out the first cut, which is to grow.
+        skip_heap: leave out the first heap.
+        ample: keep clear also of where these two may grow to, and of the sweep of the machine's boom between them.
+    """
+    works = site.earthworks
+    assert isinstance(works, Worksite)
+    yard = Yard(site.half)
+    yard.take(np.maximum(np.abs(yard.x), np.abs(yard.y)) > site.extent / 2 - EDGE)
+    for place in site.placements:
+        yard.take(yard.disc(place.x, place.y, place.pad + 0.1))
+    for plant in site.plants or ():
+        yard.take(yard.disc(plant.x, plant.y, 0.45 * plant.height))
+    for number, cut in enumerate(works.cuts):
+        if not (skip_cut and number == 0):
+            yard.take(cut.inside(yard.x, yard.y) > (-1.6 if ample and number == 0 else -0.25))
+    for number, heap in enumerate(works.heaps):
+        if not (skip_heap and number == 0):
+            yard.take(heap.inside(yard.x, yard.y) > (-0.4 * heap.reach - 0.2 if ample and number == 0 else -0.25))
+    if ample:
+        yard.take(sweep(site, yard))
+    return yard
+
+
+def sweep(site: DigSite, yard: Yard) -> Bool[np.ndarray, "n n"]:
+    """Cells that the boom passes over between the first cut and the first heap, the shorter way round."""
+    works = site.earthworks
+    assert isinstance(works, Worksite)
+    machine = next(p for p in site.placements if isinstance(p.model, Excavator))
+    first, last = (
+        float(np.rad2deg(np.arctan2(thing.at[1] - machine.y, thing.at[0] - machine.x)))
+        for thing in (works.cuts[0], works.heaps[0])
+    )
+    if (last - first) % 360 > 180:
+        first, last = last, first
+    return yard.sector(machine.x, machine.y, REACH, first - 20, last + 20)
