@@ -44,7 +44,15 @@ def write(root: Path, epochs: int = 2) -> Path:
     place = root / "site_007"
     write_json(
         place / "sequence.json",
-        {"name": "site_007", "seed": 7, "flight": "hover", "epsg": 32632, "origin": ORIGIN, "epochs": names},
+        {
+            "name": "site_007",
+            "seed": 7,
+            "flight": "hover",
+            "epsg": 32632,
+            "origin": ORIGIN,
+            "epochs": names,
+            "times": [f"2025-06-02T{9 + k:02d}:00:00" for k in range(epochs)],
+        },
     )
     write_json(
         place / "change.json",

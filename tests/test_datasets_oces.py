@@ -37,6 +37,7 @@ def test_an_epoch_brings_all_of_its_truth(root) -> None:
     assert (moved.before, moved.after) == dataset.names
     assert (moved.cut, moved.fill, moved.net) == (4.0, 5.0, 1.0)
     recording = dataset.recording("site_007/epoch_01")
+    assert recording.time - dataset.recording("site_007/epoch_00").time == 3600
     assert recording.truth == root / "site_007/epoch_01/truth.npz"
     assert recording.photos == root / "site_007/epoch_01/images"
     assert recording.georeference.origin == oces_example.ORIGIN

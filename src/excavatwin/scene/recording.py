@@ -178,6 +178,8 @@ class Recording:
     """``truth.npz`` where the site is simulated; ``evaluation.load_truth`` reads it."""
     georeference: Georeference | None = None
     platform: str | None = None
+    time: float | None = None
+    """When it was recorded, where the data set tells; to be compared within the data set only [s]."""
     split: str | None = None
     breaks: tuple[int, ...] = ()
     """Indices of frames whose pose jumped since the frame before; metric figures must not span them."""
