@@ -116,7 +116,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
             write_epoch(root / name / epoch, truth)
             write_elevation(root / name / epoch / "elevation.tif", truth, 0.01)
             write_map_of(truth, sites / name / epoch, bias)
-        told = {"name": name, "epsg": 32632, "origin": PLACE.origin, "epochs": epochs, "times": []}
+        told: dict[str, object] = {"name": name, "epsg": 32632, "origin": PLACE.origin, "epochs": epochs}
+        told["times"] = [f"2025-06-02T{9 + k:02d}:00:00" for k in range(len(epochs))]
         (root / name / "sequence.json").write_text(json.dumps(told))
     change = [{"from": "epoch_00", "to": "epoch_01", "cut_m3": 1.0, "fill_m3": 0.0, "net_m3": -1.0}]
     (root / "site_a" / "change.json").write_text(json.dumps(change))
@@ -186,6 +187,7 @@ def test_a_data_set_is_scored_over_its_sequences(run: Run, dataset: tuple[Path, 
     assert float(dimension["paper"]) == pytest.approx(10.43)
     assert float(found["site_a", "epoch_01", "volume_cut_error"]["value"]) == pytest.approx(0, abs=0.01)
     assert float(found["site_a", "epoch_01", "final_terrain_mae"]["value"]) == pytest.approx(0.02, abs=1e-4)
+    assert float(found["site_a", "epoch_01", "update_interval_mean"]["value"]) == 3600
     assert ("site_a", "epoch_00", "volume_cut") not in found
     assert "site_b" in shown
     assert run(*words, "--seed", "0")[1] == shown

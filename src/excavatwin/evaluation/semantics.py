@@ -71,11 +71,11 @@ def semantic_metrics(
     return (
         Metric(
             f"{name}_miou", 100 * mean_over(iou, present), "%",
-            f"strict mean IoU over {place}, {by}; unknown counts as wrong",
+            f"strict mean IoU, unknown is wrong, {by}; {place}",
         ),
         Metric(
             f"{name}_miou_selective", 100 * mean_over(selective_iou(counts), present), "%",
-            f"selective mean IoU, {by}; {place} without a class left out",
+            f"selective mean IoU, unknown left out, {by}; {place}",
         ),
         Metric(
             f"{name}_coverage", 100 * float(labelled / total) if total else nan, "%", f"share of {place} with a class",

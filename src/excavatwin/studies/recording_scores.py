@@ -48,7 +48,7 @@ class Scored:
     camera_scale: float | None = None
     """Metres per unit of the map by its cameras (P1)."""
     time: float | None = None
-    """When the last photo was taken [s]."""
+    """When it was recorded [s]."""
     doubts: tuple[str, ...] = ()
 
 
@@ -58,7 +58,7 @@ def score_unmapped(recording: Recording, sequence: str, epoch: str, failure: str
     truth = load_truth(recording.truth)
     row = Row(sequence, epoch, unmapped_metrics(truth), failure)
     counts = photo_confusion((), truth)
-    return Scored(recording.name, row, TASK_POLICY, truth=truth, counts=counts, time=last_time(recording))
+    return Scored(recording.name, row, TASK_POLICY, truth=truth, counts=counts, time=recording.time)
 
 
 def score_simulated(recording: Recording, site: Path, sequence: str, epoch: str, scoring: Scoring) -> Scored:
@@ -80,7 +80,7 @@ def score_simulated(recording: Recording, site: Path, sequence: str, epoch: str,
     moved = [alignment.moved(o) for o in m.objects]
     return Scored(
         recording.name, row, TASK_POLICY, Survey(m, alignment), truth, photo_confusion(views, truth),
-        matched(moved, truth, recording, sequence), scale, last_time(recording), doubts(metrics, alignment),
+        matched(moved, truth, recording, sequence), scale, recording.time, doubts(metrics, alignment),
     )  # fmt: skip
 
 
@@ -183,9 +183,3 @@ def timing(site: Path) -> tuple[Metric, ...]:
     if any(row.get("cached") for row in stages.values()) or not isinstance(run.get("seconds"), int | float):
         return ()
     return (Metric("map_seconds", float(run["seconds"]), "s", "photos to map, nothing from the cache"),)
-
-
-def last_time(recording: Recording) -> float | None:
-    """When the last photo was taken [s]."""
-    times = [frame.time for frame in recording.frames if frame.time is not None]
-    return max(times) if times else None
