@@ -321,10 +321,9 @@ def test_regions_turn_and_mirror_with_the_map(seed: int, turns: int, mirrored: b
         return np.ascontiguousarray(A[::-1] if mirrored else A)
 
     H, stage = _random_ground(seed), TerrainEnvelope()
-    raised, opened = progressive_filter(H, 0.2, 3.0, 0.08, 0.8, 3)
-    other_raised, other_opened = progressive_filter(turned(H), 0.2, 3.0, 0.08, 0.8, 3)
+    raised = progressive_filter(H, 0.2, 3.0, 0.08, 0.3)
+    other_raised = progressive_filter(turned(H), 0.2, 3.0, 0.08, 0.3)
     assert (other_raised == turned(raised)).all()
-    assert np.array_equal(other_opened, turned(opened), equal_nan=True)
     assert (turned(stage.faces(H, 0.2)) == stage.faces(turned(H), 0.2)).all()
     assert (turned(stage.raised(H, 0.2, 3.0)) == stage.raised(turned(H), 0.2, 3.0)).all()
 
@@ -369,17 +368,17 @@ def test_the_rims_of_a_blob() -> None:
     half[:, 4:] = np.where(blob[:, 4:] < 0, 2.0, half[:, 4:])
     assert 0 < steep_rims(half, blob, 1, 0.5)[0] < 1
     assert steep_rims(H, np.full((9, 9), -1, np.int32), 2, 0.5).shape == (0,)
-    assert steep_rims(H[:, 2:], blob[:, 2:], 2, 0.5)[0] == pytest.approx(5 / 5.5)  # one of its six cells at the edge
+    assert steep_rims(H[:, 2:], blob[:, 2:], 2, 0.5)[0] == pytest.approx(5 / 6)  # one of its six cells at the edge
 
 
 def test_the_edge_of_the_map_is_where_nothing_is_seen() -> None:
-    """A rim that faces unseen cells counts like one at the frame of the raster, by one half."""
+    """A rim that faces unseen cells counts like one at the frame of the raster, as level."""
     H = np.zeros((8, 8), np.float32)
     blob = np.full((8, 8), -1, np.int32)
     blob[2:6, 3:5], H[2:6, 3:5] = 0, 2.0
     assert steep_rims(H, blob, 1, 0.5)[0] == 1
     H[:, 5:] = np.nan
-    assert steep_rims(H, blob, 1, 0.5)[0] == pytest.approx(6 / (6 + 0.5 * 2))
+    assert steep_rims(H, blob, 1, 0.5)[0] == pytest.approx(6 / 8)
     H[:2], H[6:], H[:, :3] = np.nan, np.nan, np.nan
     assert steep_rims(H, blob, 1, 0.5)[0] == 0
 

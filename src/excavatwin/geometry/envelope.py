@@ -3,46 +3,41 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int32
 
 from excavatwin.paper import equation
+from excavatwin.scene.grid import Grid
 
 
 def progressive_filter(
-    H: Float32[np.ndarray, "Y X"], cell: float, window: float, step: float, slope: float, smear: int
-) -> tuple[Bool[np.ndarray, "Y X"], Float32[np.ndarray, "Y X"]]:
-    """Cells that stand off the ground, by openings with a window that grows step by step (after Zhang et al., 2003).
+    H: Float32[np.ndarray, "Y X"], cell: float, window: float, step: float, aspect: float
+) -> Bool[np.ndarray, "Y X"]:
+    """Cells of what stands on the ground, by openings with a window that grows step by step (after Zhang et al., 2003).
 
-    Each opening lowers a ridge of inclination ``slope`` by about slope times half the growth of the window (sqrt(2)
-    times that for a cone under a square window), so heaps at their angle of repose pass whatever their size; a body
-    with steep sides falls by its whole height at once.
-    Openings never touch what lies *below* its surroundings: pits and trenches stay.
+    The opening that is just wider than a body lowers it by its whole height at once, so a body is what falls by more
+    than ``aspect`` times the half-width of the window (the threshold of Pingel et al., 2013, on a square window).
+    A cone of the same inclination falls by little with every step, whatever its size: only the tip of a steep heap,
+    a few cells wide, is taken along. Openings never touch what lies *below* its surroundings: pits and trenches stay.
 
     Args:
         H: reference elevation, NaN = none [m].
         cell: edge of a cell [m].
-        window: width of the widest body that must be removed [m].
+        window: width of the widest body that must be found [m].
         step: height that is noise [m].
-        slope: steepest inclination of terrain that stands up (tangent).
-        smear: width of a step in the reference surface [cells]: a body may fall over that many openings.
-
-    Returns:
-        (raised cells, what the last opening left).
+        aspect: lowest height of a body over its half-width.
     """
     from excavatwin.kernels.morphology import opening
 
     raised = np.zeros(H.shape, bool)
     last = max(1, int(np.ceil(window / cell / 2)))
-    surfaces, radii = [H], [0]
-    while radii[-1] < last:
-        radius = min(last, radii[-1] + max(1, radii[-1] // 6))  # large windows may grow faster: large bodies are high
-        opened = opening(surfaces[-1], radius)
-        for lag in {1, min(smear, len(surfaces))}:
-            growth = radius - radii[-lag]
-            with np.errstate(invalid="ignore"):
-                raised |= surfaces[-lag] - opened > step + slope * np.sqrt(2) * growth * cell
-        surfaces, radii = [*surfaces, opened][-smear:], [*radii, radius][-smear:]
-    return raised, surfaces[-1]
+    surface, radius = H, 0
+    while radius < last:
+        radius = min(last, radius + max(1, radius // 6))  # large windows may grow faster: large bodies are high
+        opened = opening(surface, radius)
+        with np.errstate(invalid="ignore"):
+            raised |= surface - opened > max(step, aspect * radius * cell)
+        surface = opened
+    return raised
 
 
 @equation("eq:gc_continuity")
@@ -72,7 +67,7 @@ def steep_rims(
 ) -> Float32[np.ndarray, "R"]:
     """Share of every blob's rim (ids from 0, -1 = outside all) that drops by more than ``allowed`` within ``reach``
     cells outside all blobs. Stereo smears a sharp step over two or three cells, so neighbours alone do not tell.
-    Rims at the edge of the map may be steep or not: they count by one half."""
+    Rims at the edge of the map tell nothing and count as level."""
     from excavatwin.kernels.morphology import disc_drop, windowed_extreme
 
     n = int(blob.max(initial=-1)) + 1
@@ -81,8 +76,9 @@ def steep_rims(
     around = np.isfinite(H) & (blob < 0)
     rim = border & (windowed_extreme(around.astype(np.float32), 1, True) > 0)
     steep = rim & (disc_drop(H, around, reach) > allowed)
-    rims = np.bincount(blob[rim], minlength=n) + 0.5 * np.bincount(blob[border & ~rim], minlength=n)
-    return (np.bincount(blob[steep], minlength=n) / np.maximum(rims, 1)).astype(np.float32)
+    return (np.bincount(blob[steep], minlength=n) / np.maximum(np.bincount(blob[border], minlength=n), 1)).astype(
+        np.float32
+    )
 
 
 def raised_rims(
@@ -111,6 +107,22 @@ def bridge_gaps(H: Float32[np.ndarray, "Y X"], gap: float) -> Float32[np.ndarray
         return H
     distance, nearest = distance_transform_edt(empty, return_indices=True)
     return np.where(distance <= gap, H[tuple(nearest)], np.nan).astype(np.float32)
+
+
+def ground_range(
+    grid: Grid, ground: Float32[np.ndarray, "Y X"], xyz: Float[np.ndarray, "N 3"], reach: int
+) -> tuple[Float32[np.ndarray, "N"], Float32[np.ndarray, "N"]]:
+    """Lowest and highest ground within ``reach`` cells of every point, bilinear between the cells' centres [m]."""
+    from scipy.ndimage import map_coordinates
+
+    from excavatwin.kernels.morphology import windowed_extreme
+
+    place = np.stack([(grid.north - xyz[:, 1]) / grid.cell - 0.5, (xyz[:, 0] - grid.west) / grid.cell - 0.5])
+    low, high = (
+        map_coordinates(windowed_extreme(ground, reach, highest), place, order=1, mode="nearest")
+        for highest in (False, True)
+    )
+    return low, high
 
 
 def fill_ground(

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int32
 
 from excavatwin.errors import require
 from excavatwin.geometry.envelope import (
     bridge_gaps,
     continuity_regions,
     fill_ground,
+    ground_range,
     progressive_filter,
     raised_rims,
     steep_rims,
@@ -33,6 +34,8 @@ class TerrainEnvelope:
     """The same as a share of the scene's extent, used while the scale is unknown."""
     step: float = 0.4
     """Height that is noise [voxels]."""
+    aspect: float = 0.3
+    """Lowest height of a body that stands on the ground, over its half-width; flatter ones are part of it."""
     slope: float = 0.8
     """Steepest inclination of terrain that stands up, as a tangent (39 degrees: above the angle of repose of soil)."""
     delta_h: float = 0.6
@@ -41,10 +44,8 @@ class TerrainEnvelope:
     """delta_s of eq:gc_continuity (tangent)."""
     smear: int = 3
     """Width over which stereo may smear a sharp step [cells]."""
-    lift: float = 3.0
-    """A body is all that stands this far above the last opening, around what the filter lowered [voxels]."""
-    body: float = 0.7
-    """A raised patch whose rim drops steeply on at least this share of its length is a body standing on the ground;
+    body: float = 0.55
+    """A lowered patch whose rim drops steeply on at least this share of its length is a body standing on the ground;
     otherwise it is ground: the crest of a heap, a berm, ground between a pit and the edge of the map."""
     island: float = 0.6
     """A region behind steep faces is the top of a body when at least this share of its steps leads down."""
@@ -91,20 +92,13 @@ class TerrainEnvelope:
         return sealed & seen
 
     def raised(self, H: Float32[np.ndarray, "Y X"], size: float, window: float) -> Bool[np.ndarray, "Y X"]:
-        """Cells of bodies that stand on the ground: what the progressive filter lowers, patch by patch, and the whole
-        of what stands above its last opening there."""
+        """Cells of bodies that stand on the ground: what the progressive filter lowers, patch by patch."""
         from scipy.ndimage import label
 
-        lowered, opened = progressive_filter(H, size, window, self.step * size, self.slope, self.smear)
-        with np.errstate(invalid="ignore"):
-            above = lowered | (H - opened > self.lift * size)
-        bodies = np.zeros(H.shape, bool)
-        for patches in (lowered, above):
-            blob = label(patches, structure=np.ones((3, 3)))[0].astype(np.int32) - 1
-            steep = steep_rims(H, blob, self.smear, self.allowed_drop(size, self.smear))
-            found = np.bincount(blob[lowered & patches], minlength=len(steep)) > 0
-            bodies |= np.append((steep >= self.body) & found, False)[blob]
-        return bodies
+        lowered = progressive_filter(H, size, window, self.step * size, self.aspect)
+        patch = label(lowered, structure=np.ones((3, 3)))[0].astype(np.int32) - 1
+        steep = steep_rims(H, patch, self.smear, self.allowed_drop(size, self.smear))
+        return np.append(steep >= self.body, False)[patch]
 
     def regions(
         self, H: Float32[np.ndarray, "Y X"], candidate: Bool[np.ndarray, "Y X"], size: float, window: float
@@ -138,21 +132,20 @@ class TerrainEnvelope:
         reference: Float32[np.ndarray, "Y X"],
         region: Int32[np.ndarray, "Y X"],
     ) -> Terrain:
-        """Voxels that are compatible with the terrain of their cell by height and local slope."""
-        from excavatwin.kernels.morphology import windowed_extreme
-
-        terrain = region > 0
-        ground = fill_ground(reference, terrain, self.smear)
-        # On a wall a cell holds everything from foot to rim: the rim is the highest terrain around.
-        heights = np.where(terrain, reference, np.nan).astype(np.float32)
-        rim = windowed_extreme(heights, max(1, self.smear - 1), True).ravel()[cell]
-        steepness = np.tan(np.minimum(local.slope, np.arctan(2.0)))
-        tolerance = voxels.size * (self.step + steepness / 2)
-        z = voxels.centre[:, 2]
-        with np.errstate(invalid="ignore"):
-            member = local.inlier & terrain.ravel()[cell] & (z <= rim + tolerance)
-        height = (z - ground.ravel()[cell]).astype(np.float32)
+        """Voxels that are compatible with the terrain around them by height, in cells that are terrain."""
+        ground = fill_ground(reference, region > 0, self.smear - 1)
+        member = local.inlier & self.on_ground(grid, ground, voxels.centre)
+        height = (voxels.centre[:, 2] - ground.ravel()[cell]).astype(np.float32)
         return Terrain(grid, reference, region, ground, member, height)
+
+    def on_ground(
+        self, grid: Grid, ground: Float32[np.ndarray, "Y X"], xyz: Float[np.ndarray, "N 3"]
+    ) -> Bool[np.ndarray, "N"]:
+        """Points that lie, but for noise, between the lowest and the highest ground within one cell (within a smear,
+        where that is wider): on a wall that is everything from foot to rim, on a slope as much as it is steep."""
+        low, high = ground_range(grid, ground, xyz, max(1, self.smear - 1))
+        noise = self.step * grid.cell
+        return (xyz[:, 2] >= low - noise) & (xyz[:, 2] <= high + noise)
 
 
 @dataclass(frozen=True)
@@ -163,7 +156,19 @@ class PointwiseTerrain(TerrainEnvelope):
         self, reference: Float32[np.ndarray, "Y X"], candidate: Bool[np.ndarray, "Y X"], size: float, window: float
     ) -> Int32[np.ndarray, "Y X"]:
         """All candidates as one region."""
-        return candidate.astype(np.int32)
+        return (candidate & np.isfinite(reference)).astype(np.int32)
+
+
+def plain_cloud(window: float) -> TerrainEnvelope:
+    """The stage for a cloud that is no closed surface, such as an airborne scan, in voxels of about one point spacing.
+
+    The reference is the lowest there is, and all that the filter lowers is a body: sparse points of a canopy or a
+    gable have no rim that could be tested, steps between them are sharp, and faces would part ground from ground.
+
+    Args:
+        window: width of the widest body [m], such as 12 on a site, 36 in a town.
+    """
+    return PointwiseTerrain(percentile=0.0, window=window, step=0.5, smear=1, body=0.0, gap=3.0)
 
 
 def reference_grid(voxels: Voxels) -> tuple[Grid, Int32[np.ndarray, "J"]]:
