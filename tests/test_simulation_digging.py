@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +21,8 @@ SEEDS = (100, 103, 108)
 
 
 @cache
-def series(seed: int, epochs: int = 4) -> tuple[DigSite, ...]:
-    return digging_series(replace(random_site(seed), cell=0.05), epochs)
+def series(seed: int) -> tuple[DigSite, ...]:
+    return digging_series(replace(random_site(seed), cell=0.1), 3)
 
 
 def height(site: DigSite) -> np.ndarray:
@@ -83,7 +85,7 @@ def test_the_machine_swings_and_people_move(seed) -> None:
             else:
                 assert a == b
     for state in states:
-        for place, box in zip(state.placements, contents(replace(state, cell=0.1)).objects, strict=True):
+        for place, box in zip(state.placements, contents(state).objects, strict=True):
             if place.category in ("person", "excavator"):
                 ground = height(state)
                 k = [round((c + state.half) / state.cell) for c in (place.y, place.x)]
@@ -91,11 +93,11 @@ def test_the_machine_swings_and_people_move(seed) -> None:
 
 
 def test_the_first_epoch_is_the_site_with_room_to_stand() -> None:
-    site = replace(random_site(103), cell=0.05)
+    site = replace(random_site(103), cell=0.1)
     first = series(103)[0]
     assert replace(first, earthworks=site.earthworks) == site
     assert replace(first.earthworks, levelled=()) == site.earthworks
-    assert digging_series(site, 4) == series(103)
+    assert digging_series(site, 3) == series(103)
 
 
 def test_the_difference_is_that_of_the_truths() -> None:
@@ -127,3 +129,14 @@ def test_what_cannot_be_dug_is_refused() -> None:
         Digging(bulking=0.8)
     with pytest.raises(InputError, match="extent"):
         change_truth(site, replace(site, extent=20.0))
+
+
+def test_what_the_page_says_about_sites_and_digging_is_so() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "simulator.md").read_text()
+    parts = re.split(r"^## ", page, flags=re.MULTILINE)
+    told = "".join([parts[0], *(part for part in parts if part.startswith(("What a site", "Digging series")))])
+    scope: dict[str, object] = {}
+    blocks = re.findall(r"```python\n(.*?)```", told, re.DOTALL)
+    assert len(blocks) >= 2
+    for block in blocks:
+        exec(compile(block, "docs/simulator.md", "exec"), scope)

@@ -1,7 +1,8 @@
 """A procedural dig site, photographed: photos with exact truth, for the sample, the tests and the benchmarks.
 
-``DigSite`` says what the site is, ``orbit`` flies around it, ``render_view`` takes one photo with its truth,
-``site_truth`` is what a perfect survey would find, ``exact_observations`` is what perfect models would deliver.
+``DigSite`` says what the site is, ``random_site`` draws one, ``digging_series`` digs in it and ``change_truth`` says how
+much. ``orbit`` flies around it, ``render_view`` takes one photo with its truth, ``site_truth`` is what a perfect survey
+would find, ``exact_observations`` is what perfect models would deliver.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from excavatwin.simulation.digging import Digging, digging_series
 from excavatwin.simulation.layout import random_site
 from excavatwin.simulation.observations import exact_observations
 from excavatwin.simulation.render import RenderedView, render_view
-from excavatwin.simulation.site import DigSite, Placement
+from excavatwin.simulation.site import CATEGORIES, DigSite, Placement, contents
 from excavatwin.simulation.terrain import Earthworks
 from excavatwin.simulation.truth import save_truth, site_truth
 
 __all__ = [
+    "CATEGORIES",
     "Camera",
     "Change",
     "DigSite",
@@ -25,6 +27,7 @@ __all__ = [
     "Placement",
     "RenderedView",
     "change_truth",
+    "contents",
     "digging_series",
     "exact_observations",
     "look_at",
