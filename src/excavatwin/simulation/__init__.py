@@ -1,6 +1,6 @@
 """A procedural dig site, photographed: photos with exact truth, for the sample, the tests and the benchmarks.
 
-``DigSite`` says what the site is, ``random_site`` draws one, ``digging_series`` digs in it and ``change_truth`` says how
+``DigSite`` says what the site is, ``random_site`` draws one, ``digging_series`` digs in it, ``change_truth`` says how
 much. ``orbit`` flies around it, ``render_view`` takes one photo with its truth, ``site_truth`` is what a perfect survey
 would find, ``exact_observations`` is what perfect models would deliver.
 """
