@@ -61,8 +61,8 @@ def test_a_folder_is_recognised_tested_and_counted(tmp_path) -> None:
         assert "policies: diggable, strict" in result.stdout
         assert "train 1, val 1, test 0" in result.stdout
         assert "missing" in result.stdout
-    assert "read       9 files of 1 recordings, 0 unusable" in by_path.stdout  # 3 photos, 3 labels, 3 of 6 scans
-    assert "read       12 files" in by_name.stdout
+    assert "read       files 9 of recordings 1, unusable 0" in by_path.stdout  # 3 photos, 3 labels, 3 of 6 scans
+    assert "read       files 12" in by_name.stdout
 
 
 def test_unusable_files_are_listed_and_end_with_code_2(tmp_path) -> None:

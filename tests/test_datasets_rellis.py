@@ -210,6 +210,17 @@ def test_labels_become_task_classes_under_a_policy(rellis) -> None:
     assert set(np.unique(strict[raw == rellis_example.SKY])) == {255}
 
 
+def test_a_world_that_leans_is_doubted(tmp_path) -> None:
+    rellis_example.write(tmp_path)
+    path = next(tmp_path.rglob("poses.txt"))
+    turned = (
+        np.loadtxt(path).reshape(-1, 3, 4)[:, [0, 2, 1]] * np.array([1, -1, 1])[:, None]
+    )  # y up, as cameras have it
+    np.savetxt(path, turned.reshape(-1, 12))
+    doubts = open_dataset(tmp_path).recording("00000").doubts
+    assert any("leans by 90 degrees" in doubt for doubt in doubts)
+
+
 def test_ids_that_stand_for_others_are_replaced(tmp_path) -> None:
     rellis_example.write(tmp_path)
     image, scan = next(tmp_path.rglob("frame000000*.png")), next(tmp_path.rglob("000001.label"))

@@ -169,6 +169,25 @@ def test_the_policy_reaches_evidence_and_provenance(contract, tmp_path):
     assert loaded.source == {"class_mapping": "goose-64", "class_mapping_policy": "strict"}
 
 
+def test_the_policy_reaches_a_site_from_the_command_line(tmp_path):
+    import json
+
+    from excavatwin.cli import main
+    from test_cli import observations
+
+    labels = np.full((3, 48, 64), 24, np.uint8)  # gravel
+    file = observations(tmp_path / "o.npz", evidence=None, labels=labels)
+    for policy, task_class in (("diggable", 1), ("strict", 2)):
+        site = tmp_path / policy
+        assert main(["fuse", str(file), "-o", str(site), "--class-mapping", f"goose-64:{policy}"]) == 0
+        assert f'"class_mapping_policy": "{policy}"' in json.dumps(json.loads((site / "run.json").read_text()))
+        from PIL import Image
+
+        seen = np.unique(np.array(Image.open(site / "labels" / "view_000.png")))
+        assert task_class in seen
+        assert 3 - task_class not in seen
+
+
 def test_unknown_policies_are_refused(tmp_path):
     with pytest.raises(InputError, match="no policy 'lenient'; it has: diggable, strict"):
         read_vocabulary("goose-64:lenient")

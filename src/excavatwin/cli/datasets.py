@@ -74,7 +74,7 @@ def _report(dataset: Dataset, found: Examination) -> list[str]:
     lines = [f"{dataset.name} in {_listed([str(folder) for folder in dataset.folders], 3)}"]
     rows: list[tuple[str, str]] = [
         ("recordings", f"{len(dataset)}: {_listed(dataset.names)}"),
-        ("holds", ", ".join(f"{count} {what}" for what, count in dataset.counts.items())),
+        ("holds", ", ".join(f"{what} {count}" for what, count in dataset.counts.items())),
     ]
     if any(dataset.splits.values()):
         rows.append(("splits", ", ".join(f"{split} {count}" for split, count in dataset.splits.items())))
@@ -85,7 +85,7 @@ def _report(dataset: Dataset, found: Examination) -> list[str]:
     rows += [("left out", f"{item.what}: {item.reason}") for item in dataset.excluded]
     rows += [("missing", what) for what in dataset.missing] or [("missing", "nothing")]
     rows += [("doubt", doubt) for doubt in found.doubts]
-    rows.append(("read", f"{found.files} files of {found.recordings} recordings, {len(found.problems)} unusable"))
+    rows.append(("read", f"files {found.files} of recordings {found.recordings}, unusable {len(found.problems)}"))
     rows += [("unusable", problem) for problem in found.problems[:SHOWN]]
     for head, text in rows:
         lines += wrapped(f"  {head:<10} ", text, WIDTH)

@@ -12,29 +12,41 @@ def roots_below(folders: Sequence[Path], is_root: Callable[[Path], bool], depth:
     for folder in folders:
         level = [folder]
         for _ in range(depth + 1):
-            found += [place for place in level if is_root(place)]
+            found += [place for place in level if _allowed(is_root, place)]
             level = [sub for place in level if place not in found for sub in subfolders(place)]
     return tuple(dict.fromkeys(found))
 
 
 def subfolders(folder: Path) -> list[Path]:
-    """Visible folders in a folder, sorted; none when it is no folder."""
-    if not folder.is_dir():
-        return []
-    return sorted(sub for sub in folder.iterdir() if sub.is_dir() and not sub.name.startswith("."))
+    """Visible folders in a folder, sorted; none when it is no folder, or one that may not be read."""
+    return sorted(sub for sub in _visible(folder) if _allowed(Path.is_dir, sub))
 
 
 def files_in(folders: Iterable[Path], *suffixes: str) -> list[Path]:
     """Visible files of those suffixes in the folders that exist, sorted by name; the first of a name wins."""
     found: dict[str, Path] = {}
     for folder in folders:
-        if folder.is_dir():
-            for file in folder.iterdir():
-                if file.suffix.lower() in suffixes and not file.name.startswith(".") and file.is_file():
-                    found.setdefault(file.name, file)
+        for file in _visible(folder):
+            if file.suffix.lower() in suffixes and _allowed(Path.is_file, file):
+                found.setdefault(file.name, file)
     return [found[name] for name in sorted(found)]
 
 
 def first_file(places: Iterable[Path]) -> Path | None:
     """The first of the places that is a file."""
     return next((place for place in places if place.is_file()), None)
+
+
+def _visible(folder: Path) -> list[Path]:
+    try:
+        return [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
+    except OSError:
+        return []
+
+
+def _allowed(question: Callable[[Path], bool], path: Path) -> bool:
+    """The answer to a question about a path; no where nobody may look."""
+    try:
+        return question(path)
+    except OSError:
+        return False

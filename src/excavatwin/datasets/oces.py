@@ -38,8 +38,10 @@ ESSENTIAL = ("cameras.json", "truth.npz", "objects.json")
 
 def is_root(folder: Path) -> bool:
     """Whether a folder holds a ``dataset.json`` of this layout."""
-    file = folder / "dataset.json"
-    return file.is_file() and f'"{FORMAT}"' in file.read_text("utf-8", "replace")
+    try:
+        return f'"{FORMAT}"' in (folder / "dataset.json").read_text("utf-8", "replace")
+    except OSError:
+        return False
 
 
 def find_roots(folders: Sequence[Path]) -> tuple[Path, ...]:

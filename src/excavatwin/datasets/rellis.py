@@ -21,7 +21,7 @@ from excavatwin.datasets.label_agreement import LEAST, Agreement, label_agreemen
 from excavatwin.datasets.readers import read_rgb
 from excavatwin.datasets.rellis_calibration import LENS, read_camera_info, read_transforms
 from excavatwin.datasets.rellis_classes import VOCABULARY, read_labelled_scan, read_labels
-from excavatwin.datasets.rellis_poses import poses_at, read_poses
+from excavatwin.datasets.rellis_poses import LEAN, poses_at, read_poses, tilt
 from excavatwin.errors import InputError
 from excavatwin.scene.frames import invert_rigid
 from excavatwin.scene.recording import Dataset, Frame, Recording, Scan, Stored
@@ -106,6 +106,10 @@ def _recording(name: str, parts: Sequence[Path], splits: dict[str, str]) -> Reco
     doubts = []
     if scans and len(poses) and len(poses) <= int(scans[-1].name):
         doubts.append(f"poses.txt of {name} has {len(poses)} rows, but scans are numbered up to {scans[-1].name}.")
+    if tilt(poses) > LEAN:
+        doubts.append(
+            f"the world of poses.txt of {name} leans by {tilt(poses):.0f} degrees: heights along z are wrong."
+        )
     if scans and not clock:
         doubts.append(
             f"the scans of {name} carry no time ({STAMPED_SCANS} is absent): photos are paired with them by number."

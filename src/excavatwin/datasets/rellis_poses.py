@@ -13,6 +13,8 @@ from excavatwin.scene.recording import Scan
 
 #: Poses farther apart in time are not interpolated [s].
 GAP = 0.5
+#: The world of the poses is doubted when it leans more than this against the scanner's mean up [deg].
+LEAN = 15.0
 
 
 def read_poses(path: Path | None) -> Float64[np.ndarray, "n 4 4"]:
@@ -48,3 +50,14 @@ def poses_at(
     poses[:, :3, :3] = Slerp(clock - clock[0], Rotation.from_matrix(T[:, :3, :3]))(inside - clock[0]).as_matrix()
     poses[:, :3, 3] = np.stack([np.interp(inside, clock, T[:, axis, 3]) for axis in range(3)], axis=-1)
     return poses, between
+
+
+def tilt(poses: Float64[np.ndarray, "n 4 4"]) -> float:
+    """Angle between the world's z axis and the scanner's mean up [deg]; 0 without poses.
+
+    The robot drives on open ground: on average its scanner stands upright, and so does a world that is fit for heights.
+    """
+    if not len(poses):
+        return 0.0
+    up = poses[:, :3, 2].mean(0)
+    return float(np.degrees(np.arccos(np.clip(up[2] / np.linalg.norm(up), -1, 1))))
