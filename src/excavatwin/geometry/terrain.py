@@ -134,17 +134,22 @@ class TerrainEnvelope:
     ) -> Terrain:
         """Voxels that are compatible with the terrain around them by height, in cells that are terrain."""
         ground = fill_ground(reference, region > 0, self.smear - 1)
-        member = local.inlier & self.on_ground(grid, ground, voxels.centre)
+        noise = max(self.step * voxels.size, surface_thickness(voxels, local, cell, reference, region))
+        member = local.inlier & self.on_ground(grid, ground, voxels.centre, noise)
         height = (voxels.centre[:, 2] - ground.ravel()[cell]).astype(np.float32)
         return Terrain(grid, reference, region, ground, member, height)
 
     def on_ground(
-        self, grid: Grid, ground: Float32[np.ndarray, "Y X"], xyz: Float[np.ndarray, "N 3"]
+        self, grid: Grid, ground: Float32[np.ndarray, "Y X"], xyz: Float[np.ndarray, "N 3"], noise: float | None = None
     ) -> Bool[np.ndarray, "N"]:
         """Points that lie, but for noise, between the lowest and the highest ground within one cell (within a smear,
-        where that is wider): on a wall that is everything from foot to rim, on a slope as much as it is steep."""
+        where that is wider): on a wall that is everything from foot to rim, on a slope as much as it is steep.
+
+        Args:
+            noise: height that is noise [m]; ``step`` when not given.
+        """
         low, high = ground_range(grid, ground, xyz, max(1, self.smear - 1))
-        noise = self.step * grid.cell
+        noise = self.step * grid.cell if noise is None else noise
         return (xyz[:, 2] >= low - noise) & (xyz[:, 2] <= high + noise)
 
 
@@ -190,3 +195,24 @@ def reference_surface(
     of_sample = np.where(local.inlier, cell, -1).astype(np.int32)[voxels.voxel]
     start, member = group_rows(of_sample, grid.rows * grid.cols)
     return cell_quantile(voxels.xyz[:, 2], start, member, percentile).reshape(grid.shape)
+
+
+def surface_thickness(
+    voxels: Voxels,
+    local: LocalGeometry,
+    cell: Int32[np.ndarray, "J"],
+    reference: Float32[np.ndarray, "Y X"],
+    region: Int32[np.ndarray, "Y X"],
+) -> float:
+    """By how much the views disagree about the ground: median over the terrain's cells of the height above the
+    reference below which nine tenths of the view samples lie [m].
+
+    Views of a network are each bent a little, and what one puts above the other is ground all the same.
+    """
+    from excavatwin.kernels.cells import cell_quantile, group_rows
+
+    of_sample = np.where(local.inlier, cell, -1).astype(np.int32)[voxels.voxel]
+    start, member = group_rows(of_sample, reference.size)
+    upper = cell_quantile(voxels.xyz[:, 2], start, member, 0.9).reshape(reference.shape)
+    told = (region > 0) & (np.diff(start).reshape(reference.shape) >= 6)
+    return float(np.median((upper - reference)[told])) if told.any() else 0.0
