@@ -93,6 +93,7 @@ def test_skipped_change_is_told_from_wrong_change() -> None:
     place = shifted((0, 0, 0))
     found = values(change_metrics(Survey(m0, place), Survey(m1, place), (before, after)))
     assert found["volume_cut_error"] == pytest.approx(-0.5, abs=1e-3)
+    assert found["volume_cut_hidden"] == pytest.approx(50, abs=0.1)
     assert found["volume_cut_error_compared"] == pytest.approx(0, abs=1e-3)
     stated = values(change_metrics(Survey(m0, place), Survey(m1, place), (before, after), Volumes(2.0, 0.0, 0, 0)))
     assert stated["volume_cut_error"] == pytest.approx(-1.5, abs=1e-3)

@@ -18,7 +18,7 @@ ROUNDING = 1e-9
 """Smaller figures are rounding of zero."""
 WIDTH = 118
 """Columns where no terminal tells."""
-DETAILS = r"^elevation_fitted_(?!mae$|rmse$)|_mae_gsd$|^dimension_.*_median|_iou_|_error_compared$|_accuracy_selective$"
+DETAILS = r"^elevation_fitted_(?!mae$|rmse$)|_mae_gsd$|^dimension_.*_median|_iou_|_accuracy_selective$"
 """Figures of a data set that are left to the files."""
 SHORT = {
     "elevation_mae": "elevation MAE [m]",

@@ -101,8 +101,8 @@ def align(m: ElevationMap, views: Sequence[MappedView], truth: Truth, way: str =
 
 
 def common_cameras(views: Sequence[MappedView], truth: Truth) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Camera centres in frame M and in the truth's, for photos of equal names."""
-    true = {view.name: view.T_M_cam[:3, 3] for view in truth.views}
+    """Camera centres in frame M and in the truth's, for photos of equal names whose true pose is known."""
+    true = {view.name: view.T_M_cam[:3, 3] for view in truth.views if np.isfinite(view.T_M_cam).all()}
     return [(view.T_M_cam[:3, 3], true[view.name]) for view in views if view.name in true]
 
 

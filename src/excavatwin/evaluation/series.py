@@ -41,7 +41,7 @@ def change_metrics(
         *(
             metric
             for metric in volume_metrics("volume_levelled", volumes(level, grid.cell, region), whole, shared, LEVELLED)
-            if not metric.name.endswith(("_area", "_share"))  # they are the same
+            if not metric.name.endswith(("_area", "_share", "_hidden"))  # they are the same
         ),
     )
 

@@ -148,9 +148,11 @@ def volume_metrics(
         ]
         if kind != "net":
             relative = 100 * abs(found - expected) / expected if expected > 0 else float("nan")
-            figures.append(
-                Metric(f"{name}_{kind}_relative_error", relative, "%", f"its absolute error, of the true one{said}")
-            )
+            hidden = 100 * (1 - compared / expected) if expected > 0 else float("nan")
+            figures += [
+                Metric(f"{name}_{kind}_relative_error", relative, "%", f"its absolute error, of the true one{said}"),
+                Metric(f"{name}_{kind}_hidden", hidden, "%", "share of the true one that lies on skipped ground"),
+            ]
     share = 100 * ours.skipped_share
     return (
         *figures,

@@ -224,6 +224,8 @@ def protocols(scored: Sequence[Scored]) -> tuple[Metric, ...]:
 def notes(dataset: Dataset, scored: Sequence[Scored], without: Sequence[str]) -> tuple[str, ...]:
     """What is not in the figures, and what to doubt."""
     told = [f"{some(without)} of {dataset.name} have no SITE and are not scored."] if without else []
+    if len({one.row.sequence for one in scored}) == 1:
+        told.append("there is one sequence only, which tells nothing about the next: no figure has an interval.")
     told += [f"{bad.what} is left out: {bad.reason}." for bad in dataset.excluded]
     told += [f"{one.name}: {doubt}" for one in scored for doubt in one.doubts]
     return tuple(dict.fromkeys(told))

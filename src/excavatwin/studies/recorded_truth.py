@@ -89,7 +89,7 @@ def measured_objects(
     Raises:
         InputError: fewer than three photos are in both.
     """
-    pairs = [(a, b) for a, b in common_cameras(views, truth) if np.isfinite(b).all()]
+    pairs = common_cameras(views, truth)
     ours = np.array([a for a, _ in pairs], float).reshape(-1, 3)
     theirs = np.array([b for _, b in pairs], float).reshape(-1, 3)
     scale = camera_scale(ours, theirs)

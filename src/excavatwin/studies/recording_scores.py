@@ -70,7 +70,8 @@ def score_simulated(recording: Recording, site: Path, sequence: str, epoch: str,
     assert recording.truth is not None
     truth = load_truth(recording.truth)
     m, views = read_site(site)
-    check_photos(site, [view.name for view in truth.views], recording.name)
+    if truth.views:
+        check_photos(site, [view.name for view in truth.views], recording.name)
     alignment = align(m, views, truth, scoring.way)
     elevation = lidar(recording, truth) if scoring.reference == "lidar" else None
     metrics = (*score(m, views, truth, alignment, elevation), *timing(site))
@@ -101,14 +102,17 @@ def score_recorded(
     survey, told = None, []
     heights = truth if recording.elevation else scanner_heights(recording, dataset, truth, list(frames))
     if heights is not None:
-        alignment = align(m, views, heights, "cameras" if scoring.way == "auto" else scoring.way)
-        metrics += elevation_metrics(m, heights, alignment)
-        survey = Survey(m, alignment)
+        try:
+            alignment = align(m, views, heights, "cameras" if scoring.way == "auto" else scoring.way)
+            metrics += elevation_metrics(m, heights, alignment)
+            survey = Survey(m, alignment)
+        except InputError as error:
+            told.append(f"its elevation is not scored: {error}")
     objects: list[MeasuredObject] = []
     scale = None
     if recording.objects:
         objects, scale = measured_objects(recording, views, truth, m.objects, sequence)
-        told = [] if objects else ["no object of the map lies where the recording's objects are."]
+        told += [] if objects else ["no object of the map lies where the recording's objects are."]
         survey = survey or Survey(m, Alignment("cameras", 0.0, np.zeros(3)))
     if not metrics and not objects:
         raise InputError(f"{recording.name} has no labels, heights or measured objects for the photos of {site}.")
@@ -124,7 +128,7 @@ def check_photos(site: Path, known: Sequence[str], name: str) -> None:
         InputError: not one of its photos is known there.
     """
     photos = photos_of(site)
-    if known and not set(photos) & set(known):
+    if not set(photos) & set(known):
         raise InputError(f"{site} was not made from photos of {name}: it has {photos[0] if photos else 'none'}.")
 
 
@@ -145,7 +149,8 @@ def scanner_heights(recording: Recording, dataset: Dataset, truth: Truth, photos
     if dataset.name != "rellis-3d" or not photos:
         return None
     frames = frames_by_photo(recording, photos)
-    placed = [frame for frame in frames.values() if frame.T_W_cam is not None and frame.scan is not None]
+    usable = {scan.name for scan in recording.scans if scan.labelled and scan.T_W_L is not None}
+    placed = [frame for frame in frames.values() if frame.T_W_cam is not None and frame.scan in usable]
     if not placed:
         return None
     times = [frame.time for frame in placed if frame.time is not None]
