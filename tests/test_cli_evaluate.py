@@ -131,6 +131,14 @@ def read(path: Path) -> dict[tuple[str, str, str], dict[str, str]]:
         return {(r["sequence"], r["epoch"], r["metric"]): r for r in csv.DictReader(file)}
 
 
+def test_help_has_examples_that_no_terminal_wraps(run: Run) -> None:
+    code, shown, _ = run("--help")
+    examples = [line for line in shown.splitlines() if line.startswith("  excavatwin evaluate")]
+    assert code == 0
+    assert len(examples) >= 4
+    assert max(map(len, examples)) < 80
+
+
 def test_a_site_is_scored_on_screen_as_json_and_as_csv(tmp_path: Path) -> None:
     truth = truth_with_cameras()
     save_truth(truth, tmp_path / "truth.npz")

@@ -89,7 +89,7 @@ def test_labels_heights_and_objects_of_a_recording_are_scored(tmp_path: Path) ->
     assert found["elevation_bias"].value == pytest.approx(-0.1, abs=1e-4)
     assert found["dimension_camera_baseline_mae"].value == pytest.approx(0, abs=1e-3)
     assert found["dimension_metric_backbone_objects"].value == 1
-    assert any("1 recordings (unmapped)" in note for note in scores.notes)
+    assert any("1 recording (unmapped)" in note for note in scores.notes)
     strict = evaluate_dataset(dataset_of(recording), tmp_path, Scoring(policy="strict"))
     assert "'strict'" in figures(strict)["photo_miou"].meaning
 

@@ -223,7 +223,7 @@ def protocols(scored: Sequence[Scored]) -> tuple[Metric, ...]:
 
 def notes(dataset: Dataset, scored: Sequence[Scored], without: Sequence[str]) -> tuple[str, ...]:
     """What is not in the figures, and what to doubt."""
-    told = [f"{some(without)} of {dataset.name} have no SITE and are not scored."] if without else []
+    told = [f"{some(without)} of {dataset.name} without a SITE: not scored."] if without else []
     if len({one.row.sequence for one in scored}) == 1:
         told.append("there is one sequence only, which tells nothing about the next: no figure has an interval.")
     told += [f"{bad.what} is left out: {bad.reason}." for bad in dataset.excluded]
@@ -232,8 +232,9 @@ def notes(dataset: Dataset, scored: Sequence[Scored], without: Sequence[str]) ->
 
 
 def some(names: Sequence[str]) -> str:
-    """``"3 recordings (a, b, c)"``."""
-    return f"{len(names)} recordings ({', '.join(names[:SHOWN])}{', ...' if len(names) > SHOWN else ''})"
+    """``"4 recordings (a, b, c, ...)"``."""
+    noun = "recording" if len(names) == 1 else "recordings"
+    return f"{len(names)} {noun} ({', '.join(names[:SHOWN])}{', ...' if len(names) > SHOWN else ''})"
 
 
 def nothing_to_score(dataset: Dataset, sites: Path, map_missing: bool) -> str:
