@@ -227,6 +227,7 @@ def test_a_site_without_a_map_is_scored_as_an_empty_one(run: Run, dataset: tuple
         (["{site}", "--truth", "{root}/nowhere.tif"], "cannot be read as an elevation raster"),
         (["{site}", "--truth", "{root}/site_a/epoch_00/truth.npz", "--sites", "x"], "belong to data sets"),
         (["{site}", "--truth", "{root}/site_a/epoch_00/truth.npz", "--align", "icp"], "icp"),
+        (["{site}", "--mapper.decision.tau", "0.5"], "is mapped already"),
         (["{root}", "--truth", "t.npz"], "drop --truth"),
         (["{root}", "--sites", "elsewhere", "--no-map"], "leave --no-map out"),
         (["{root}/site_a/epoch_00/images"], "no known data set"),

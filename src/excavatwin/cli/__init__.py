@@ -42,7 +42,7 @@ def _run(words: list[str]) -> int:
     if "changes" in ignored:
         bound.arguments["changes"] = changes
     elif changes:
-        raise InputError("stage parameters belong to `map`, `fuse`, `config` or `demo`.")
+        raise InputError("stage parameters belong to `map`, `fuse`, `config`, `demo` or `evaluate`.")
     result = command(*bound.args, **bound.kwargs)
     return result if isinstance(result, int) else 0
 

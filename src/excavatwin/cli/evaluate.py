@@ -80,6 +80,8 @@ def evaluate_command(
     if is_site(subject):
         if sites is not None or no_map:
             raise InputError(f"{subject} is a SITE; --sites and --no-map belong to data sets.")
+        if config is not None or changes:
+            raise InputError(f"{subject} is mapped already; give stage parameters to `map` or `fuse`, or a data set.")
         scores = _site_scores(subject, truth, scoring)
     else:
         if truth is not None:
