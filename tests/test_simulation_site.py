@@ -56,6 +56,13 @@ def test_points_lie_on_their_own_pixels_at_their_depth(view) -> None:
     np.testing.assert_allclose(z, view.depth.ravel(), rtol=1e-5)
 
 
+def test_truth_needs_no_light(view) -> None:
+    dark = render_view(SITE, CAMERAS[0], samples=0, grain=0.0)
+    assert not dark.image.any()
+    for name in ("depth", "points", "label", "instance"):
+        np.testing.assert_array_equal(getattr(dark, name), getattr(view, name))
+
+
 def test_terrain_points_lie_on_the_true_terrain(view) -> None:
     ground = contents(SITE).ground
     terrain = np.isin(view.label, (TaskClass.CONSTRUCTION_TERRAIN, TaskClass.OTHER_TERRAIN))
