@@ -122,6 +122,17 @@ Examples:
   # a data set of 25 sequences like the paper's OCES
   excavatwin simulate -o oces --sequences 25 --epochs 4 --flight mixed"""
 
+GROUND_FILTERS = """\
+Compare ground filters on plain clouds: ours, CSF, PMF, SMRF.
+
+Type I, type II and total error and kappa, each peer with its published and
+with its best parameters. Needs: pip install "excavatwin[study]"."""
+
+GROUND_FILTERS_EXAMPLES = """\
+Examples:
+  excavatwin ground-filters --simulated 4 -o filters
+  excavatwin ground-filters --isprs ISPRS_filtertest/ -o filters"""
+
 app = App(
     name="excavatwin",
     help="Photos of an earthworks site in, metric semantic elevation map out: no LiDAR, no training, no GPU needed.",
@@ -146,3 +157,4 @@ _register("demo:demo_command", "demo", DEMO, DEMO_EXAMPLES)
 _register("datasets:datasets_command", "datasets", DATASETS, DATASETS_EXAMPLES)
 _register("evaluate:evaluate_command", "evaluate", EVALUATE, EVALUATE_EXAMPLES)
 _register("simulate:simulate_command", "simulate", SIMULATE, SIMULATE_EXAMPLES)
+_register("ground_filters:ground_filters_command", "ground-filters", GROUND_FILTERS, GROUND_FILTERS_EXAMPLES)
