@@ -15,11 +15,15 @@ SUN_ANGLE = 0.5358
 """Diameter of the sun's disc [deg]."""
 TABLE = (96, 256)
 """Rows (sine of the elevation, horizon to zenith) and columns (azimuth from +x towards +y) of the sky's table."""
+NOON = 50.0
+"""Elevation of the sun in whose light a grey card is grey [deg]."""
+AUTOMATIC = 0.25
+"""Share of a colour cast against noon that the camera takes away (as a power)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Daylight:
-    """Light from above, white-balanced: a grey card in sun and sky is grey."""
+    """Light from above, white-balanced for noon."""
 
     to_sun: Float64[np.ndarray, "3"]
     sun: Float64[np.ndarray, "3"]
@@ -44,6 +48,21 @@ def daylight(azimuth: float, elevation: float, turbidity: float) -> Daylight:
         elevation: of the sun [deg].
         turbidity: 1.. 10; 2 is very clear, 6 is hazy.
     """
+    to_sun, sun, sky, skylight = _raw(azimuth, elevation, turbidity)
+    _, noon_sun, _, noon_sky = _raw(azimuth, NOON, turbidity)
+    noon, now = noon_sun * np.sin(np.deg2rad(NOON)) + noon_sky, sun * to_sun[2] + skylight
+    # The camera's daylight setting makes noon grey; its automatic takes a part of what is left, so evenings stay warm.
+    cast = (now / now.mean()) / (noon / noon.mean())
+    balance = noon.mean() / noon / cast**AUTOMATIC
+    return Daylight(to_sun, sun * balance, (sky * balance).astype(np.float32), skylight * balance)
+
+
+def _raw(
+    azimuth: float, elevation: float, turbidity: float
+) -> tuple[
+    Float64[np.ndarray, "3"], Float64[np.ndarray, "3"], Float64[np.ndarray, "96 256 3"], Float64[np.ndarray, "3"]
+]:
+    """Direction to the sun, its irradiance, radiance and irradiance of the sky, as the emitter has them."""
     a, e = np.deg2rad(azimuth), np.deg2rad(elevation)
     to_sun = np.array([np.sin(a) * np.cos(e), np.cos(a) * np.cos(e), np.sin(e)])
     emitter = {"type": "sunsky", "sun_direction": to_sun.tolist(), "turbidity": turbidity}
@@ -55,11 +74,7 @@ def daylight(azimuth: float, elevation: float, turbidity: float) -> Daylight:
     sky = radiance(emitter | {"sun_scale": 0.0}, directions.reshape(-1, 3)).reshape(rows, cols, 3)
     disc = 2 * np.pi * (1 - np.cos(np.deg2rad(SUN_ANGLE / 2)))
     sun = radiance(emitter | {"sky_scale": 0.0}, to_sun[None])[0] * disc
-    skylight = 2 * np.pi * (sky * up[..., None]).mean((0, 1))
-    # A camera balances most of the light's colour away, but not all: evenings stay warm.
-    total = sun * to_sun[2] + skylight
-    balance = (total.mean() / total) ** 0.75
-    return Daylight(to_sun, sun * balance, (sky * balance).astype(np.float32), skylight * balance)
+    return to_sun, sun, sky, 2 * np.pi * (sky * up[..., None]).mean((0, 1))
 
 
 def radiance(emitter: dict[str, Any], directions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:

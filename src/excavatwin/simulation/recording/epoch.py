@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -52,6 +53,8 @@ def record_epoch(
     if written_plan(folder) == plan:
         progress(stage, shoot.views, shoot.views)
         return False
+    for leftover in folder.parent.glob(f".{folder.name}.*.part"):  # of a run that was killed
+        shutil.rmtree(leftover, ignore_errors=True)
     cameras = FLIGHTS[shoot.flight](shoot.views, shoot.width, (site.seed * 101 + number) % 2**32)
     renderer = shoot.take_photos()
     with whole_folder(folder, MARK, stale=lambda name: name in PARTS or "." in name) as staged:

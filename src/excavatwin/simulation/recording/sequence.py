@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime, timedelta
@@ -16,7 +17,7 @@ from excavatwin.simulation.change import change_truth
 from excavatwin.simulation.digging import digging_series
 from excavatwin.simulation.layout import random_site
 from excavatwin.simulation.recording.drone_photo import PLACE
-from excavatwin.simulation.recording.epoch import record_epoch
+from excavatwin.simulation.recording.epoch import MARK, record_epoch
 from excavatwin.simulation.recording.shoot import Shoot
 from excavatwin.simulation.site import CATEGORIES, DigSite
 
@@ -82,6 +83,11 @@ def record_sequence(folder: Path, site: DigSite, shoot: Shoot, progress: Progres
         record_epoch(folder / name, state, shoot, number, time, progress)
     if len(states) > 1:
         _write(folder / "change.json", _changes(names, states))
+    else:
+        (folder / "change.json").unlink(missing_ok=True)
+    for stale in folder.glob("epoch_[0-9][0-9]"):  # of an earlier plan with more epochs
+        if stale.name not in names and (stale / MARK).is_file():
+            shutil.rmtree(stale)
     told = {
         "name": folder.name, "seed": site.seed, "renderer": shoot.renderer, "flight": shoot.flight,
         "conditions": asdict(shoot.conditions), "epsg": PLACE.epsg, "origin": list(PLACE.origin),
@@ -116,9 +122,7 @@ def _listed(root: Path) -> list[str]:
                 return [name for name in told["sequences"] if (root / name / "sequence.json").is_file()]
         except (ValueError, KeyError, TypeError):
             pass
-        raise OutputError(
-            f"{about} is no {FORMAT} of version {VERSION} and will not be overwritten; give a new folder."
-        )
+        raise OutputError(f"{about} is no {FORMAT} of version {VERSION} and stays untouched; give a new folder.")
     strangers = [p.name for p in root.iterdir() if not _ours(p)] if root.is_dir() else []
     if strangers:
         raise OutputError(f"{root} already holds something else ({sorted(strangers)[0]}); give a new or empty folder.")
