@@ -6,7 +6,7 @@ Twelve orbit views of 518 x 392 a site, on the random sites that are for tuning 
 task classes, per pixel, unknown = wrong, on pixels whose true world point lies on the site's square; a pixel is
 labelled when its best evidence is at least 0.2. "voted" is the plain mean of all views in 15 cm voxels of the TRUE
 geometry, and "stays" the share of wrong pixels that this leaves wrong: the part of the errors that sticks to the world.
-About half a minute a site. The figures stand in docs/emulators.md.
+Half a minute to a minute a site. The figures stand in docs/emulators.md.
 """
 
 from __future__ import annotations
