@@ -47,7 +47,9 @@ def sentence(result: Result, code: int = 2) -> str:
 # --- what needs no photos -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("command", [(), ("map",), ("fuse",), ("config",), ("doctor",), ("demo",), ("layers",)])
+@pytest.mark.parametrize(
+    "command", [(), ("map",), ("fuse",), ("config",), ("doctor",), ("demo",), ("simulate",), ("layers",)]
+)
 def test_help_has_examples_that_can_be_copied(command: tuple[str, ...]) -> None:
     result = cli(*command, "--help")
     assert result.returncode == 0

@@ -28,7 +28,7 @@ def backend() -> Backend:
     """Mitsuba with its variant set, and Dr.Jit.
 
     Raises:
-        MissingExtraError: Mitsuba is not installed, is older than 3.7, or LLVM's library is not on this machine.
+        MissingExtraError: Mitsuba is not installed, is too old for its ``sunsky`` emitter, or LLVM's library is absent.
     """
     try:
         import drjit as dr
@@ -40,11 +40,13 @@ def backend() -> Backend:
         ) from error
     _require_llvm(dr)
     mi.set_variant(VARIANT)
-    if tuple(int(part) for part in str(mi.__version__).split(".")[:2]) < (3, 7):
+    try:
+        mi.load_dict({"type": "sunsky"})
+    except RuntimeError as error:
         raise MissingExtraError(
-            f"Mitsuba {mi.__version__} has no sun and sky emitter, 3.7 and later have; "
-            'pip install --upgrade "excavatwin[sim]".'
-        )
+            f"Mitsuba {mi.__version__} has no sun and sky emitter, 3.9 has; "
+            'pip install --upgrade "excavatwin[sim]" "mitsuba>=3.9".'
+        ) from error
     return Backend(mi, dr)
 
 

@@ -53,6 +53,7 @@ def record_epoch(
     if written_plan(folder) == plan:
         progress(stage, shoot.views, shoot.views)
         return False
+    progress(stage, 0, shoot.views)
     for leftover in folder.parent.glob(f".{folder.name}.*.part"):  # of a run that was killed
         shutil.rmtree(leftover, ignore_errors=True)
     cameras = FLIGHTS[shoot.flight](shoot.views, shoot.width, (site.seed * 101 + number) % 2**32)
