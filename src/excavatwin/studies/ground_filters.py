@@ -80,7 +80,7 @@ def airborne() -> Contest:
     """
     pmf = [Pmf(slope=s, initial=i, window=w, highest=h) for s, i, w, h in
            product((0.3, 0.6, 1.0), (0.15, 0.5), (33, 65), (2.5, 5.0))]  # fmt: skip
-    csf = [Csf(c, r, t) for c, r, t in product((0.5, 1.0), (1, 2, 3), (0.3, 0.5))]
+    csf = [Csf(c, r, t) for c, r, t in product((0.5, 1.0), (1, 2, 3), (0.5,))]
     smrf = [Smrf(slope=s, window=w, threshold=t) for s, w, t in product((0.15, 0.2, 0.3), (18.0,), (0.3, 0.5))]
     return Contest(Envelope(), (published(Pmf(), pmf), published(Csf(), csf), *smrf_peers(Smrf(), smrf)))
 
