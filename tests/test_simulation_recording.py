@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -192,6 +193,12 @@ def test_the_command_records_and_tells_what_to_type_next(tmp_path, monkeypatch, 
         assert main(["simulate", *words]) == 2
         assert told in capsys.readouterr().err
         assert not (tmp_path / "x").exists()
+    command = [sys.executable, "-m", "excavatwin", "simulate", "-o", "x", "--renderer", "photoreal"]
+    environment = os.environ | {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so"}
+    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
+    assert run.returncode == 2
+    assert "apt install libllvm19" in run.stderr or "excavatwin[sim]" in run.stderr
+    assert not (tmp_path / "x").exists()
     words = ("-o", "out", "--seed", "107", "--views", "2", "--width", "64", "--flight", "lawnmower")
     command = [sys.executable, "-m", "excavatwin", "simulate", *words]
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, timeout=300)

@@ -33,6 +33,9 @@ class Fast:
     def __post_init__(self) -> None:
         require(self, "samples", 1, 8)
 
+    def check(self) -> None:
+        """Nothing can be missing."""
+
     def __call__(self, site: DigSite, camera: Camera) -> RenderedView:
         """Take a photo."""
         from excavatwin.kernels.ray_shading import SKY, SUN
@@ -63,6 +66,16 @@ class Photoreal:
 
     def __post_init__(self) -> None:
         require(self, "samples", 1, 1024)
+
+    def check(self) -> None:
+        """Say at once what is missing, before a site is built.
+
+        Raises:
+            MissingExtraError: Mitsuba or LLVM's library.
+        """
+        from excavatwin.simulation.photoreal.backend import backend
+
+        backend()
 
     def __call__(self, site: DigSite, camera: Camera) -> RenderedView:
         """Take a photo.

@@ -52,6 +52,8 @@ def record_dataset(
         MissingExtraError: the renderer is not installed.
     """
     listed = _listed(root)
+    for _, shoot in shoots:
+        shoot.take_photos().check()
     places = []
     for index, (seed, shoot) in enumerate(shoots):
         if len(shoots) > 1:
