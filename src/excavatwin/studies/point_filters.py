@@ -45,8 +45,8 @@ class Envelope:
     """Widest body [m]."""
     terrain: TerrainEnvelope | None = None
     """Another terrain stage than that for plain clouds."""
-    outliers: Outliers = field(default_factory=Outliers)
-    """The test for spatial outliers."""
+    outliers: Outliers = field(default_factory=lambda: Outliers(gamma=12.0))
+    """The test for spatial outliers, milder than for photos: swaths overlap, and between them points are sparse."""
 
     name = "ExcavaTwin"
 
