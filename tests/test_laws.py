@@ -18,6 +18,7 @@ from excavatwin.scene.frames import rotation_between
 from excavatwin.scene.observations import Georeference, Observations, View
 from excavatwin.scene.taxonomy import Reason
 from excavatwin.semantics.admissibility import AdmitAll
+from excavatwin.semantics.consistency import KeepEvidence
 from excavatwin.semantics.decision import Decision, decide, score
 
 
@@ -127,7 +128,7 @@ def test_zero_support_forbids_a_class(seed: int) -> None:
 
 
 def test_reasons_name_the_cause() -> None:
-    v = np.array([[0.9, 0, 0, 0, 0], [0.01, 0.01, 0, 0, 0], [0.5, 0.5, 0, 0, 0], [0, 0, 0, 0.9, 0]], np.float32)
+    v = np.array([[0.9, 0, 0, 0, 0], [0.001, 0, 0, 0, 0], [0.5, 0.5, 0, 0, 0], [0, 0, 0, 0.9, 0]], np.float32)
     g = np.array([[1, 1, 1, 0, 0], [1, 1, 1, 0, 0], [1, 1, 0.3, 0, 0], [1, 1, 0.3, 0, 0]], np.float32)
     labels = Decision(tau=0.6)(v, g)
     expected = [Reason.CLASSIFIED, Reason.INSUFFICIENT, Reason.CONFLICTING, Reason.INADMISSIBLE]
@@ -171,7 +172,7 @@ def test_geometry_suppresses_what_voting_cannot(dig_site) -> None:
     fooled = replace(dig_site, views=tuple(map(painted, dig_site.views)))
     X, Y = np.meshgrid(*(getattr(Mapper().trace(dig_site).map.grid, a) for a in "xy"))
     patch = np.hypot(X - 4, Y + 0.5) < 0.7
-    voted = replace(Mapper(), admissibility=AdmitAll()).trace(fooled).map
+    voted = replace(Mapper(), consistency=KeepEvidence(), admissibility=AdmitAll()).trace(fooled).map
     guided = Mapper().trace(fooled).map
     assert (voted.label[patch] == 4).mean() > 0.95
     assert (guided.label[patch] == 4).mean() < 0.05

@@ -145,14 +145,14 @@ def _instances(
     *bodies: tuple[float, float, int, int, int], stage: Instances | None = None
 ) -> tuple[list[set[int]], list[set[int]]]:
     voxels, labels, rows = _bodies(*bodies)
-    of_voxel, after = (stage or Instances())(voxels, flat_local(len(voxels)), labels, _ground(voxels))
+    of_voxel, after = (stage or Instances())(voxels, flat_local(len(voxels)), labels, _ground(voxels), metric=False)
     assert (of_voxel[:3200] == 0).all()
     assert (after.label[:3200] == 1).all()
     return [set(of_voxel[r].tolist()) for r in rows], [set(after.label[r].tolist()) for r in rows]
 
 
 def test_a_fragment_joins_the_body_it_touches() -> None:
-    numbers, classes = _instances((1, 1, 20, 10, 4), (3.0, 1, 4, 10, 5))
+    numbers, classes = _instances((1, 1, 20, 10, 4), (3.0, 1, 3, 10, 5))
     assert numbers == [{1}, {1}]
     assert classes == [{4}, {4}]
 
@@ -194,16 +194,16 @@ def test_a_body_whose_sides_are_missing_is_one() -> None:
     roof = voxels.centre[3200:] + np.array([0, 0, 1.2], np.float32)
     both = voxels_at(np.concatenate([voxels.centre, roof]), 0.1)
     label = np.concatenate([labels.label, np.full(40, 4)])
-    of_voxel, _ = Instances()(both, flat_local(len(both)), labels_of(label), _ground(both))
+    of_voxel, _ = Instances()(both, flat_local(len(both)), labels_of(label), _ground(both), metric=True)
     assert set(of_voxel[3200:].tolist()) == {1}
 
 
 def test_terrain_and_outliers_are_no_instances() -> None:
     voxels, labels, _ = _bodies((1, 1, 12, 10, 4))
     everywhere = terrain_below(voxels, np.ones(len(voxels), bool))
-    assert not Instances()(voxels, flat_local(len(voxels)), labels, everywhere)[0].any()
+    assert not Instances()(voxels, flat_local(len(voxels)), labels, everywhere, metric=True)[0].any()
     none = flat_local(len(voxels), np.zeros(len(voxels), bool))
-    of_voxel, after = Instances()(voxels, none, labels, _ground(voxels))
+    of_voxel, after = Instances()(voxels, none, labels, _ground(voxels), metric=True)
     assert not of_voxel.any()
     assert (after.label == labels.label).all()
 

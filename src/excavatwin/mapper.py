@@ -90,7 +90,7 @@ class Mapper:
         v = do("vote", self.vote, voxels, evidence, weight)  # eq:vote
         g = do("admissibility", self.admissibility, voxels, local, terrain, objects)  # g_j(k)
         labels = do("decision", self.decision, v, g)  # eq:score, eq:semantic_decision
-        instance, labels = do("instances", self.instances, voxels, local, labels, terrain)
+        instance, labels = do("instances", self.instances, voxels, local, labels, terrain, metric)
         cells = do("raster", self.raster, voxels, local)
         elevation = do("elevation", self.elevation, cells, voxels, labels, terrain, weight)  # eq:semantic_elevation
         semantics = do("cell labels", self.cell_labels, cells, voxels, labels)  # eq:grid_semantics

@@ -134,7 +134,7 @@ class TerrainEnvelope:
     ) -> Terrain:
         """Voxels that are compatible with the terrain around them by height, in cells that are terrain."""
         ground = fill_ground(reference, region > 0, self.smear - 1)
-        noise = max(self.step * voxels.size, surface_thickness(voxels, local, cell, reference, region))
+        noise = max(self.step * voxels.size, disagreement(local, (region > 0).ravel()[cell]))
         member = local.inlier & self.on_ground(grid, ground, voxels.centre, noise)
         height = (voxels.centre[:, 2] - ground.ravel()[cell]).astype(np.float32)
         return Terrain(grid, reference, region, ground, member, height)
@@ -197,22 +197,11 @@ def reference_surface(
     return cell_quantile(voxels.xyz[:, 2], start, member, percentile).reshape(grid.shape)
 
 
-def surface_thickness(
-    voxels: Voxels,
-    local: LocalGeometry,
-    cell: Int32[np.ndarray, "J"],
-    reference: Float32[np.ndarray, "Y X"],
-    region: Int32[np.ndarray, "Y X"],
-) -> float:
-    """By how much the views disagree about the ground: median over the terrain's cells of the height above the
-    reference below which nine tenths of the view samples lie [m].
+def disagreement(local: LocalGeometry, on_terrain: Bool[np.ndarray, "J"]) -> float:
+    """By how much the views disagree about the ground: the height between the first and the last tenth of a normal
+    distribution whose median distance to the tangent plane is that of the terrain's voxels [m].
 
     Views of a network are each bent a little, and what one puts above the other is ground all the same.
     """
-    from excavatwin.kernels.cells import cell_quantile, group_rows
-
-    of_sample = np.where(local.inlier, cell, -1).astype(np.int32)[voxels.voxel]
-    start, member = group_rows(of_sample, reference.size)
-    upper = cell_quantile(voxels.xyz[:, 2], start, member, 0.9).reshape(reference.shape)
-    told = (region > 0) & (np.diff(start).reshape(reference.shape) >= 6)
-    return float(np.median((upper - reference)[told])) if told.any() else 0.0
+    apart = local.discontinuity[on_terrain & local.inlier]
+    return 3.8 * float(np.median(apart)) if len(apart) else 0.0

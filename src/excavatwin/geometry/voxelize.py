@@ -63,7 +63,7 @@ class Voxelize:
             size=size, centre=centre, of_point=of_point, voxel=voxel, view=view, xyz=xyz,
             confidence=group_means(points.confidence[:, None], sample, M)[:, 0],
             evidence=group_means(points.evidence, sample, M),
-            rgb=group_means(points.rgb, of_point, J), footprint=finest, centres=points.centres,
+            rgb=group_means(group_means(points.rgb, sample, M), voxel, J), footprint=finest, centres=points.centres,
             neighbours=neighbours, distances=distances,
         )  # fmt: skip
 

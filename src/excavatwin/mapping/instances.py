@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64
+from jaxtyping import Float32, Float64, Int32, Int64
 
 from excavatwin.scene.labels import Labels
 from excavatwin.scene.support import LocalGeometry, Terrain
-from excavatwin.scene.taxonomy import OBJECT_CLASSES
+from excavatwin.scene.taxonomy import OBJECT_CLASSES, TaskClass
 from excavatwin.scene.voxels import Voxels
 from excavatwin.topology import radius_clusters
 
@@ -30,11 +30,14 @@ class Instances:
     """Smallest object."""
     min_height: float = 2.5
     """Least height above the terrain that an object must reach [voxels]."""
-    fragment: float = 0.5
+    machine: float = 1.0
+    """Least extent of a machine [m]: a smaller body of excavator voxels is an obstacle. Not used while the scale is
+    unknown."""
+    fragment: float = 0.2
     """A touching component of the other class joins a body when it has less than this share of its voxels."""
 
     def __call__(
-        self, voxels: Voxels, local: LocalGeometry, labels: Labels, terrain: Terrain
+        self, voxels: Voxels, local: LocalGeometry, labels: Labels, terrain: Terrain, metric: bool
     ) -> tuple[Int32[np.ndarray, "J"], Labels]:
         """(object of every voxel from 1, largest first, 0 = none; labels with fragments joined to their bodies)."""
         rows = np.flatnonzero(np.isin(labels.label, OBJECT_CLASSES) & ~terrain.member & local.inlier)
@@ -48,6 +51,9 @@ class Instances:
         first = np.full(len(size), -1, np.int64)
         first[cluster[::-1]] = rows[::-1]
         label[rows] = labels.label[first[body]]
+        if metric:
+            small = extents(voxels.centre[rows], body, len(size)) < self.machine
+            label[rows[small[body] & (label[rows] == TaskClass.EXCAVATOR)]] = TaskClass.OBSTACLE
         of_voxel = np.zeros(len(voxels), np.int32)
         of_voxel[rows] = self.numbered(body, len(size), terrain.height[rows], voxels.size)
         return of_voxel, replace(labels, label=label)
@@ -77,3 +83,11 @@ class Instances:
         number = np.zeros(count, np.int32)
         number[order[keep[order]]] = np.arange(1, keep.sum() + 1)
         return number[body] if count else np.zeros(0, np.int32)
+
+
+def extents(xyz: Float32[np.ndarray, "n 3"], cluster: Int32[np.ndarray, "n"], count: int) -> Float64[np.ndarray, "c"]:
+    """Longest edge of the upright box of every cluster [m]."""
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, cluster, xyz)
+    np.maximum.at(high, cluster, xyz)
+    return (high - low).max(axis=1, initial=0)

@@ -33,7 +33,7 @@ class Voxels:
     evidence: Float32[np.ndarray, "M K"]
     """Mean evidence e_{j,s}(k)."""
     rgb: Float32[np.ndarray, "J 3"]
-    """Mean colour, 0..255."""
+    """Mean colour, every view counting once, 0..255."""
     footprint: Float32[np.ndarray, "J"]
     """Finest footprint of a pixel among the views that see the voxel [m]."""
     centres: Float64[np.ndarray, "S 3"]

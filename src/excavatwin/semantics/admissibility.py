@@ -23,8 +23,10 @@ class Admissibility:
 
     doubtful: float = 0.04
     """Support of a class that the geometry speaks against."""
-    no_component: float = 0.5
+    no_component: float = 1.0
     """Support of object classes off the terrain where no component of theirs stands."""
+    in_component: float = 0.15
+    """Support of every other class where a component of an object class stands."""
     cover_smooth: float = 0.1
     """Support of removable cover on terrain that is as smooth as most of the scene's: short turf is ground."""
     rough: float = 12.0
@@ -34,6 +36,8 @@ class Admissibility:
 
     def __post_init__(self) -> None:
         require(self, "doubtful", 0.0, 1.0)
+        require(self, "no_component", 0.0, 1.0)
+        require(self, "in_component", 0.0, 1.0)
         require(self, "cover_smooth", 0.0, 1.0)
         require(self, "rough", 1.0, open_low=True)
 
@@ -50,8 +54,10 @@ class Admissibility:
         g[standing, RC] = 1.0
         for k in (EX, OB):
             g[standing, k] = 1.0 if objects is None else self.no_component
-            if objects is not None:
-                g[standing & (objects.task_class == k + 1), k] = 1.0
+        if objects is not None:
+            member = standing & (objects.component > 0)
+            g[np.ix_(member, (RC, EX, OB))] = self.in_component
+            g[member, objects.task_class[member] - 1] = 1.0
         g[~local.inlier] = 0.0
         return g
 

@@ -21,10 +21,10 @@ class Decision:
     """Contribution of the semantic evidence."""
     epsilon: float = 0.02
     """Evidence floor of eq:score: what a class with no vote at all still counts."""
-    tau: float = 0.5
-    """Decision threshold."""
-    least: float = 0.08
-    """Total vote below which an unknown is put down to too little evidence."""
+    tau: float = 0.475
+    """Decision threshold: a class may be called when it outweighs the others, but of two alike neither is."""
+    least: float = 0.002
+    """Total vote below which there is no evidence, and the place is unknown: geometry alone never names a class."""
 
     def __post_init__(self) -> None:
         require(self, "lambda_v", 0.0)
@@ -35,13 +35,14 @@ class Decision:
     def __call__(self, v: Float32[np.ndarray, "J K"], g: Float32[np.ndarray, "J K"]) -> Labels:
         """Label, confidence and reason of every voxel."""
         q = score(v, g, self.epsilon, self.lambda_v)
-        label = decide(q, self.tau)
+        silent = v.sum(axis=1) < self.least
+        label = np.where(silent, 0, decide(q, self.tau)).astype(np.uint8)
         reason = np.full(len(label), Reason.CONFLICTING, np.uint8)
         favourite = v.argmax(axis=1)
         rows = np.arange(len(v))
         forbidden = g[rows, favourite] <= 0.5 * np.maximum(g.max(axis=1), 1e-12)
         reason[forbidden | (g.max(axis=1) == 0)] = Reason.INADMISSIBLE
-        reason[v.sum(axis=1) < self.least] = Reason.INSUFFICIENT
+        reason[silent] = Reason.INSUFFICIENT
         reason[label > 0] = Reason.CLASSIFIED
         return Labels(v, g, q, label, q.max(axis=1), reason)
 

@@ -127,10 +127,10 @@ class KeepLabels(Instances):
     """Bodies are formed but lend their class to nothing."""
 
     def __call__(
-        self, voxels: Voxels, local: LocalGeometry, labels: Labels, terrain: Terrain
+        self, voxels: Voxels, local: LocalGeometry, labels: Labels, terrain: Terrain, metric: bool
     ) -> tuple[Int32[np.ndarray, "J"], Labels]:
         """(object of every voxel, the labels as they are)."""
-        instance, _ = super().__call__(voxels, local, labels, terrain)
+        instance, _ = super().__call__(voxels, local, labels, terrain, metric)
         return instance, labels
 
 

@@ -1,21 +1,19 @@
 """Fused labels and backbone labels against the truth, pixel by pixel of the photos: the paper's semantic protocol.
 
-Scored are the pixels whose true place lies inside the site's extent and has a class. A pixel without reconstructed point,
-or whose voxel is unknown, has no class: it counts as wrong in a strict figure.
+A pixel without reconstructed point, or whose voxel is unknown, has no class: it counts as wrong in a strict figure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from excavatwin.scene.observations import Observations
-from excavatwin.scene.taxonomy import NOT_OBSERVED, K
+from excavatwin.evaluation.semantics import confusion, intersection_over_union
+from excavatwin.scene.taxonomy import NOT_OBSERVED, TASK_CLASSES, K, class_name
 from excavatwin.scene.trace import Trace
-from excavatwin.simulation import RenderedView
+from excavatwin.studies.cases import Case
 
 LABELLED = 0.2
 """Least evidence with which a backbone's pixel counts as labelled."""
@@ -23,7 +21,7 @@ LABELLED = 0.2
 
 @dataclass(frozen=True, eq=False)
 class PixelLabels:
-    """Scored pixels of all photos of a site, in one row."""
+    """Scored pixels of all photos of a case, in one row."""
 
     predicted: UInt8[np.ndarray, "n"]
     """Task class, 0 = none."""
@@ -33,33 +31,42 @@ class PixelLabels:
     """Task class 1..K."""
 
 
-def scored(view: RenderedView, extent: float) -> np.ndarray:
-    """Pixels (H, W) that count: a task class, inside the square of edge ``extent`` about the origin."""
-    with np.errstate(invalid="ignore"):
-        inside = (np.abs(view.points[..., :2]) <= extent / 2).all(axis=-1)
-    return inside & (view.label >= 1) & (view.label <= K)
-
-
-def backbone_labels(observations: Observations, views: Sequence[RenderedView], extent: float) -> PixelLabels:
+def backbone_labels(case: Case) -> PixelLabels:
     """What the segmenter alone says: the strongest class where its evidence counts as a label."""
-    parts = []
-    for seen, true in zip(observations.views, views, strict=True):
-        at = scored(true, extent)
-        evidence = seen.evidence[at]
+    predicted, confidence = [], []
+    for view, true in zip(case.observations.views, case.labels, strict=True):
+        evidence = view.evidence[true != NOT_OBSERVED]
         best = evidence.max(axis=1)
-        label = np.where(best >= LABELLED, evidence.argmax(axis=1) + 1, 0).astype(np.uint8)
-        parts.append((label, np.where(label > 0, best, 0).astype(np.float32), true.label[at]))
-    return PixelLabels(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        known = best >= LABELLED
+        predicted.append(np.where(known, evidence.argmax(axis=1) + 1, 0).astype(np.uint8))
+        confidence.append(np.where(known, best, 0).astype(np.float32))
+    return PixelLabels(np.concatenate(predicted), np.concatenate(confidence), true_labels(case))
 
 
-def fused_labels(trace: Trace, views: Sequence[RenderedView], extent: float) -> PixelLabels:
+def fused_labels(trace: Trace, case: Case) -> PixelLabels:
     """What the fusion says about every pixel: the decision of the voxel of its point."""
     voxel = trace.voxels.of_point
-    labels = trace.points.unflatten(trace.labels.label[voxel], NOT_OBSERVED)
+    labels = trace.points.unflatten(trace.labels.label[voxel], 0)
     sure = trace.points.unflatten(trace.labels.confidence[voxel], 0.0)
-    parts = []
-    for label, confidence, true in zip(labels, sure, views, strict=True):
-        at = scored(true, extent)
-        known = (label[at] >= 1) & (label[at] <= K)
-        parts.append((np.where(known, label[at], 0).astype(np.uint8), confidence[at] * known, true.label[at]))
-    return PixelLabels(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    at = [true != NOT_OBSERVED for true in case.labels]
+    predicted = np.concatenate([label[a] for label, a in zip(labels, at, strict=True)])
+    confidence = np.concatenate([c[a] for c, a in zip(sure, at, strict=True)]).astype(np.float32)
+    return PixelLabels(predicted, np.where(predicted > 0, confidence, 0), true_labels(case))
+
+
+def true_labels(case: Case) -> UInt8[np.ndarray, "n"]:
+    """Classes of the scored pixels."""
+    return np.concatenate([true[true != NOT_OBSERVED] for true in case.labels])
+
+
+def scores(labels: PixelLabels) -> dict[str, float]:
+    """Strict mIoU over the classes that the truth has, coverage, and the IoU of each class [%]."""
+    counts = confusion(labels.predicted, labels.true)
+    iou, present = intersection_over_union(counts), counts.sum(axis=1) > 0
+    per_class = {f"iou_{class_name(k)}": 100 * float(iou[k - 1]) for k in TASK_CLASSES if present[k - 1]}
+    return {
+        "miou": 100 * float(iou[present].mean()),
+        "coverage": 100 * float(counts[:, :K].sum() / counts.sum()),
+        "accuracy": 100 * float(np.diag(counts).sum() / counts.sum()),
+        **per_class,
+    }

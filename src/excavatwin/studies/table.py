@@ -82,7 +82,7 @@ def escaped(text: str) -> str:
 
 
 def write_tables(tables: Sequence[Table], folder: Path, stem: str) -> list[Path]:
-    """Write ``STEM.md``, ``STEM.tex``, ``STEM.json`` and, one for each table, ``STEM[_n].csv``; each whole or not at all.
+    """Write ``STEM.md``, ``STEM.tex``, ``STEM.json`` and ``STEM[_n].csv`` (one a table), each whole or not at all.
 
     Raises:
         OutputError: the folder cannot be written.
