@@ -21,6 +21,7 @@ from excavatwin.scene.support import LocalGeometry, Terrain
 from excavatwin.scene.taxonomy import K, Reason
 from excavatwin.scene.voxels import Voxels
 from excavatwin.semantics.admissibility import AdmitAll
+from excavatwin.semantics.certainty import KeepScore
 from excavatwin.semantics.consistency import KeepEvidence
 from excavatwin.semantics.decision import Decision
 from excavatwin.semantics.reliability import Uniform
@@ -138,7 +139,7 @@ def baseline(vote: Vote) -> Mapper:
     """The mapper with a baseline's vote and without everything that the method adds to voting."""
     return replace(
         Mapper(), consistency=KeepEvidence(), objects=NoObjects(), reliability=Uniform(), vote=vote,
-        admissibility=AdmitAll(), decision=MostVoted(), instances=KeepLabels(),
+        admissibility=AdmitAll(), decision=MostVoted(), certainty=KeepScore(), instances=KeepLabels(),
     )  # fmt: skip
 
 

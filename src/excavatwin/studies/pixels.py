@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from excavatwin.evaluation.semantics import confusion, intersection_over_union
-from excavatwin.scene.taxonomy import NOT_OBSERVED, TASK_CLASSES, K, class_name
+from excavatwin.evaluation.semantics import semantic_scores
+from excavatwin.scene.taxonomy import NOT_OBSERVED
 from excavatwin.scene.trace import Trace
 from excavatwin.studies.cases import Case
 
@@ -59,14 +59,19 @@ def true_labels(case: Case) -> UInt8[np.ndarray, "n"]:
     return np.concatenate([true[true != NOT_OBSERVED] for true in case.labels])
 
 
-def scores(labels: PixelLabels) -> dict[str, float]:
-    """Strict mIoU over the classes that the truth has, coverage, and the IoU of each class [%]."""
-    counts = confusion(labels.predicted, labels.true)
-    iou, present = intersection_over_union(counts), counts.sum(axis=1) > 0
-    per_class = {f"iou_{class_name(k)}": 100 * float(iou[k - 1]) for k in TASK_CLASSES if present[k - 1]}
-    return {
-        "miou": 100 * float(iou[present].mean()),
-        "coverage": 100 * float(counts[:, :K].sum() / counts.sum()),
-        "accuracy": 100 * float(np.diag(counts).sum() / counts.sum()),
-        **per_class,
-    }
+def scores(labels: PixelLabels, forced: PixelLabels | None = None) -> dict[str, float]:
+    """Figures of classes with their confidences, by name [%; the ratio plain].
+
+    Args:
+        forced: the same without rejection, against which the worth of knowing what one does not know is stated.
+
+    Returns:
+        ``miou`` (strict, over the classes that the truth has), ``miou_selective``, ``coverage``, ``accuracy``,
+        ``accuracy_selective``, ``iou_CLASS``, ``aurc``, ``risk_at_95``, ``ece``; with forced also ``risk_forced``,
+        ``risk_ratio``.
+    """
+    metrics = semantic_scores(
+        labels.predicted, labels.true, labels.confidence if forced is None else forced.confidence,
+        forced=None if forced is None else forced.predicted, name="photo", place="the photos' pixels",
+    )  # fmt: skip
+    return {metric.name.removeprefix("photo_"): metric.value for metric in metrics}

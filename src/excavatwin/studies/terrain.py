@@ -6,15 +6,16 @@ frame. What it still has is the error of the points themselves, so the ratio of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
+from excavatwin.evaluation.alignment import Alignment
+from excavatwin.evaluation.dimensions import MeasuredObject
 from excavatwin.evaluation.elevation import without_plane
 from excavatwin.evaluation.frame import true_height, true_label
-from excavatwin.geometry.scale import Scale
-from excavatwin.mapper import Mapper
+from excavatwin.evaluation.objects import match
 from excavatwin.mapping.elevation import terrain_elevation
 from excavatwin.scene.frames import transform
 from excavatwin.scene.grid import Grid
@@ -40,20 +41,68 @@ class TerrainErrors:
     """Scored cells."""
 
 
-def with_references(mapper: Mapper, case: Case) -> Mapper:
-    """The mapper with the case's known lengths: metric scale from one reference object, as in the paper."""
-    return replace(mapper, scale=Scale(references=case.references))
+def terrain_figures(trace: Trace, case: Case) -> dict[str, float]:
+    """Terrain errors of a map and of the oracle [m], and their ratios; nothing where the case has no true terrain.
+
+    ``elevation_*``: by the map's own gravity and declared scale. ``elevation_fitted_*``: after an extra vertical shift
+    and tilt. ``elevation_placed_*``: by the true similarity, so that only the choice of the points is left.
+    """
+    if case.truth is None or case.T_M_R is None or not trace.map.metric:
+        return {}
+    ours, placed = map_errors(trace, case), map_errors(trace, case, placed=True)
+    best = oracle_errors(case, trace.map.grid.cell)
+    return {
+        "elevation_mae": ours.mae,
+        "elevation_rmse": ours.rmse,
+        "elevation_fitted_mae": ours.fitted_mae,
+        "elevation_fitted_rmse": ours.fitted_rmse,
+        "elevation_placed_mae": placed.mae,
+        "elevation_placed_rmse": placed.rmse,
+        "elevation_scale_error": 100 * ours.scale_error,
+        "elevation_cells": float(ours.cells),
+        "oracle_elevation_mae": best.mae,
+        "oracle_elevation_fitted_mae": best.fitted_mae,
+        "elevation_ratio": ours.mae / best.mae,
+        "elevation_fitted_ratio": ours.fitted_mae / best.fitted_mae,
+        "elevation_placed_ratio": placed.mae / best.mae,
+    }
 
 
-def map_errors(trace: Trace, case: Case) -> TerrainErrors:
-    """Of the method: its own gravity and its own scale; heading and position by the cameras, never by the terrain."""
+def map_errors(trace: Trace, case: Case, placed: bool = False) -> TerrainErrors:
+    """Of the method: its own gravity and its own scale; heading and position by the cameras, never by the terrain.
+
+    Args:
+        placed: bring the terrain into place by the true similarity instead.
+    """
     truth, T_M_R = _known(case)
     g = trace.map.grid
     at = np.argwhere(np.isfinite(trace.map.elevation))
     xyz = np.stack([g.x[at[:, 1]], g.y[at[:, 0]], trace.map.elevation[at[:, 0], at[:, 1]]], axis=-1).astype(float)
-    T_true_ours = heading_and_position(camera_centres(trace.T_M_R, case), camera_centres(T_M_R, case))
+    T = T_M_R @ np.linalg.inv(trace.T_M_R) if placed else in_place(trace, case)
     scale = float(np.cbrt(np.linalg.det(trace.T_M_R[:3, :3]) / np.linalg.det(T_M_R[:3, :3])))
-    return score(transform(T_true_ours, xyz), truth, scale - 1)
+    return score(transform(T, xyz), truth, scale - 1)
+
+
+def in_place(trace: Trace, case: Case) -> Float64[np.ndarray, "4 4"]:
+    """From the map's frame into the truth's: heading and position by the cameras, no tilt and no scale."""
+    _, T_M_R = _known(case)
+    return heading_and_position(camera_centres(trace.T_M_R, case), camera_centres(T_M_R, case))
+
+
+def measured_objects(trace: Trace, case: Case) -> tuple[MeasuredObject, ...]:
+    """Mapped objects that are true ones, with both sizes [m]; without the one that gave the scale."""
+    if case.truth is None or case.T_M_R is None or not trace.map.metric:
+        return ()
+    T, truth = in_place(trace, case), case.truth
+    alignment = Alignment("cameras", float(np.arctan2(T[1, 0], T[0, 0])), T[:3, 3])
+    mapped = [alignment.moved(o) for o in trace.map.objects]
+    return tuple(
+        MeasuredObject(
+            case.name, truth.names[j] if j < len(truth.names) else "object", mapped[i].size, truth.objects[j].size
+        )
+        for i, j, _ in match(mapped, truth.objects, np.zeros(3))
+        if truth.objects[j].object_id != case.reference_object and min(mapped[i].size) > 0
+    )
 
 
 def oracle_errors(case: Case, cell: float) -> TerrainErrors:
