@@ -15,6 +15,7 @@ from excavatwin.scene.taxonomy import Reason, TaskClass
 from excavatwin.scene.voxels import Voxels
 from excavatwin.semantics.admissibility import Admissibility, AdmitAll
 from excavatwin.semantics.agreement import agreed
+from excavatwin.semantics.certainty import Certainty, KeepScore
 from excavatwin.semantics.consistency import Consistency, KeepEvidence, compete, plausible, sample_labels
 from excavatwin.semantics.decision import Decision
 from excavatwin.semantics.reliability import Reliability, Uniform, distinct_rank
@@ -431,3 +432,23 @@ def test_every_unknown_has_a_reason_and_no_class_has_one(seed: int, tau: float) 
     total = labels.score.sum(axis=1)
     assert np.allclose(total[g.any(axis=1)], 1, atol=1e-5)
     assert (total[~g.any(axis=1)] == 0).all()
+
+
+# ---- certainty
+
+
+@relaxed
+@given(seeds, st.floats(0.0, 1.0))
+def test_certainty_against_its_definition(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    J = 12
+    near = rng.integers(0, J, (J, 4)).astype(np.int32)
+    voxels = replace(voxels_at(rng.random((J, 3)), 0.1), neighbours=near, distances=np.zeros((J, 4), np.float32))
+    v = rng.random((J, 5)).astype(np.float32)
+    labels = Decision(tau=0.3)(v, np.ones_like(v))
+    sure = Certainty(neighbours=share)(voxels, labels)
+    for j in range(J):
+        alike = sum(labels.label[n] == labels.label[j] for n in voxels.neighbours[j]) / 4
+        assert sure.confidence[j] == pytest.approx(labels.confidence[j] ** (1 - share) * alike**share, rel=1e-5)
+    assert (sure.label == labels.label).all()
+    assert KeepScore()(voxels, labels) is labels

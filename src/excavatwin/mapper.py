@@ -30,6 +30,7 @@ from excavatwin.scene.site import FusedPoints, MappedView, Site
 from excavatwin.scene.taxonomy import NOT_OBSERVED, Support
 from excavatwin.scene.trace import Trace
 from excavatwin.semantics.admissibility import Admissibility, AdmitAll
+from excavatwin.semantics.certainty import Certainty, KeepScore
 from excavatwin.semantics.consistency import Consistency, KeepEvidence
 from excavatwin.semantics.decision import Decision
 from excavatwin.semantics.projection import Correspondence
@@ -59,6 +60,7 @@ class Mapper:
     vote: Vote = Vote()
     admissibility: Admissibility | AdmitAll = Admissibility()
     decision: Decision = Decision()
+    certainty: Certainty | KeepScore = Certainty()
     instances: Instances = Instances()
     raster: Raster = Raster()
     elevation: Elevation = Elevation()
@@ -90,6 +92,7 @@ class Mapper:
         v = do("vote", self.vote, voxels, evidence, weight)  # eq:vote
         g = do("admissibility", self.admissibility, voxels, local, terrain, objects)  # g_j(k)
         labels = do("decision", self.decision, v, g)  # eq:score, eq:semantic_decision
+        labels = do("certainty", self.certainty, voxels, labels)  # gamma_i
         instance, labels = do("instances", self.instances, voxels, local, labels, terrain, metric)
         cells = do("raster", self.raster, voxels, local)
         elevation = do("elevation", self.elevation, cells, voxels, labels, terrain, weight)  # eq:semantic_elevation
@@ -163,7 +166,7 @@ class _Steps:
     memory: Memory
     remember: bool
     seconds: dict[str, float] = field(default_factory=dict)
-    stages: int = 19
+    stages: int = 20
 
     def __call__(self, name: str, stage: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         self.progress(f"fusion: {name}", len(self.seconds), self.stages)
