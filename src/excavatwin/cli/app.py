@@ -133,6 +133,35 @@ Examples:
   excavatwin ground-filters --simulated 4 -o filters
   excavatwin ground-filters --isprs ISPRS_filtertest/ -o filters"""
 
+ABLATE = """\
+What each part of the method is worth: ablations, baselines, oracles.
+
+The paper's five rows, the full method, fusions that everybody knows, and the
+full method with true classes or true geometry; paired by case, with intervals.
+Finished cases are kept: a stopped run goes on."""
+
+ABLATE_EXAMPLES = """\
+Every parameter of the mapper is a flag, too: `excavatwin config` lists them.
+
+Examples:
+  excavatwin ablate -o ablation                # 20 simulated sites
+  excavatwin ablate --simulated 4 --backbone yoloe -o ablation
+  excavatwin ablate --only "plain 3D voting" --simulated 4 -o ablation
+  # observations of your own, with what is true about them
+  excavatwin ablate observations.npz --truth truth.npz -o ablation"""
+
+TABLES = """\
+The tables of the paper, our column beside the paper's.
+
+Geometry, semantics, ablation, as Markdown, LaTeX, JSON and CSV. OCES is filled
+from simulated sites, other columns from the data sets that you give."""
+
+TABLES_EXAMPLES = """\
+Examples:
+  excavatwin tables -o tables                  # 20 simulated sites
+  excavatwin tables rellis/ --sites rellis_sites/ -o tables
+  excavatwin tables goose/ --sites goose_sites/ --segmenter yoloe -o tables"""
+
 app = App(
     name="excavatwin",
     help="Photos of an earthworks site in, metric semantic elevation map out: no LiDAR, no training, no GPU needed.",
@@ -158,3 +187,5 @@ _register("datasets:datasets_command", "datasets", DATASETS, DATASETS_EXAMPLES)
 _register("evaluate:evaluate_command", "evaluate", EVALUATE, EVALUATE_EXAMPLES)
 _register("simulate:simulate_command", "simulate", SIMULATE, SIMULATE_EXAMPLES)
 _register("ground_filters:ground_filters_command", "ground-filters", GROUND_FILTERS, GROUND_FILTERS_EXAMPLES)
+_register("ablate:ablate_command", "ablate", ABLATE, ABLATE_EXAMPLES)
+_register("tables:tables_command", "tables", TABLES, TABLES_EXAMPLES)

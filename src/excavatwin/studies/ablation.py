@@ -1,4 +1,4 @@
-"""What each part of the method is worth: the paper's rows (tab:yoloe_ablation), baselines that everybody knows, oracles.
+"""What each part of the method is worth: the paper's rows (tab:yoloe_ablation), baselines of others, oracles.
 
 A row of the ablation is the mapper with one stage replaced by its identity twin; a baseline has another vote in place
 of all that the method adds to voting; an oracle is the full method on observations of which one half is true.
@@ -44,7 +44,7 @@ class CaseResult:
     backbone: str
     """Name of the segmenter."""
     rows: dict[str, Figures]
-    """Configuration -> figures."""
+    """Configuration -> figures; none where the case does not have what it takes."""
     objects: tuple[MeasuredObject, ...] = ()
     """Objects as the full method measures them, without the one that gave the scale."""
     doubts: tuple[str, ...] = field(default=())
@@ -124,7 +124,7 @@ def study_case(
     progress(f"{case.name}, {backbone}: scored", len(wanted), len(wanted))
     assert full is not None
     objects = measured_objects(full, case)
-    return CaseResult(case.name, backbone, {n: f for n, f in rows.items() if f}, objects, full.map.doubts)
+    return CaseResult(case.name, backbone, rows, objects, full.map.doubts)
 
 
 def full_figures(trace: Trace, case: Case, mapper: Mapper, memory: Memory) -> Figures:
