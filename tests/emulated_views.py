@@ -15,15 +15,15 @@ CAMERAS = orbit(4, width=260, aspect=392 / 518)
 
 @lru_cache
 def true_views():
-    """The true views of ``CAMERAS``."""
-    return tuple(render_view(SITE, camera, samples=0) for camera in CAMERAS)
+    """The true views of ``CAMERAS``, with colours."""
+    return tuple(render_view(SITE, camera, samples=1) for camera in CAMERAS)
 
 
 @lru_cache
 def horizon():
     """A view with sky in it, and its camera."""
     camera = Camera(200, 150, 160.0, look_at(np.array([20.0, 5.0, 4.0]), np.array([0, 0, 3.0])))
-    view = render_view(SITE, camera, samples=0)
+    view = render_view(SITE, camera, samples=1)
     assert 0.05 < np.isnan(view.depth).mean() < 0.9
     return view, camera
 

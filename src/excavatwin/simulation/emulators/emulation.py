@@ -51,7 +51,7 @@ def emulate(
     geometry: GeometryModel,
     segmenter: Segmenter,
     seed: int,
-    samples: int = 0,
+    samples: int = 1,
 ) -> Emulated:
     """Photograph a site and let emulated models loose on it.
 
@@ -60,8 +60,9 @@ def emulate(
         cameras: of the photos; the lattice of the observations is theirs.
         geometry: gives points, poses, confidence.
         segmenter: gives evidence.
-        seed: of all errors; the same seed, site and cameras give the same observations.
-        samples: rays per pixel along each axis for the colours; 0 renders the truth only and leaves images out.
+        seed: of all errors; the same seed, site, cameras and ``samples`` give the same observations.
+        samples: rays per pixel along each axis for the colours; 0 renders the truth only and leaves images out, which
+            suits segmenters whose errors do not follow looks (``look=0``).
     """
     return emulate_views([render_view(site, camera, samples=samples) for camera in cameras], cameras, geometry,
                          segmenter, seed, coloured=samples > 0)  # fmt: skip

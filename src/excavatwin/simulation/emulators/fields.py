@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float32
 
+from excavatwin.errors import InputError
 from excavatwin.simulation.camera import Camera
 from excavatwin.simulation.render import RenderedView
 
@@ -14,6 +17,11 @@ OCTAVE_GAIN = 0.6
 """Amplitude of the second octave over that of the first."""
 VALUE_NOISE_STD = 0.369
 """Standard deviation of one octave of the noise kernel, averaged over space: sqrt(0.743^3 / 3)."""
+LAB_PATCH = 20.0
+"""Difference of colour over which a field that follows looks forgets itself [CIE L*a*b* units]: about that between dry
+and wet soil, or between pale and dark grass."""
+LAB_BLUR = 2.0
+"""Blur before colours are compared, standard deviation [px]: networks judge a neighbourhood, not a pixel's grain."""
 
 
 def stream(seed: int, *keys: int) -> np.random.Generator:
@@ -67,6 +75,62 @@ def anchored(
     seeds = stream(seed, 0xF1E1D).integers(0, 2**31, channels)
     fields = [scale * noise_points(flat, wavelength, OCTAVE_RATIO, OCTAVE_GAIN, 2, int(s)) for s in seeds]
     return np.stack(fields, -1).reshape(*points.shape[:-1], channels)
+
+
+def look_alike(view: RenderedView, seed: int, channels: int = 1) -> Float32[np.ndarray, "H W C"]:
+    """Fields of about unit standard deviation that belong to colours: the same wherever, and in whichever view, things
+    look the same.
+
+    Args:
+        view: a view with colours.
+        seed: of the functions of colour; the same seed gives the same ones in every view and site.
+        channels: number of independent fields.
+    """
+    return anchored(lab(view), LAB_PATCH, seed, channels)
+
+
+def lab(view: RenderedView) -> Float32[np.ndarray, "H W 3"]:
+    """Colours of a view, a little blurred, in CIE L*a*b* (D65)."""
+    import cv2
+
+    smooth = cv2.GaussianBlur(view.image.astype(np.float32) / 255, (0, 0), LAB_BLUR)
+    return cv2.cvtColor(smooth, cv2.COLOR_RGB2LAB)
+
+
+def require_colours(owner: object, views: Sequence[RenderedView]) -> None:
+    """Refuse views without colours where errors are to follow looks.
+
+    Args:
+        owner: the segmenter.
+
+    Raises:
+        InputError: a view's image is black all over, as that of truth without colours is.
+    """
+    for number, view in enumerate(views):
+        if not view.image.any():
+            raise InputError(
+                f"View {number} is black all over, but {type(owner).__name__}.look needs colours; "
+                "render it with samples of at least 1, or set look=0."
+            )
+
+
+def lasting_field(
+    view: RenderedView, wavelength: float, look: float, seeds: tuple[int, int], channels: int = 1
+) -> Float32[np.ndarray, "H W C"]:
+    """Fields of about unit standard deviation that are the same in every view: by place, and by looks.
+
+    Args:
+        view: a view; with colours when ``look`` is above 0.
+        wavelength: distance over which the part that belongs to places forgets itself [m].
+        look: share of the variance that follows looks, 0..1.
+        seeds: of the part that belongs to places, and of the part that follows looks.
+        channels: number of independent fields.
+    """
+    by_place = anchored(view.points, wavelength, seeds[0], channels)
+    if look == 0:
+        return by_place
+    alike = look_alike(view, seeds[1], channels)
+    return np.float32(np.sqrt(1 - look)) * by_place + np.float32(np.sqrt(look)) * alike
 
 
 def footprint(view: RenderedView, camera: Camera, window: int = 15) -> Float32[np.ndarray, "H W"]:

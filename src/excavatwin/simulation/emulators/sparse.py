@@ -11,7 +11,16 @@ from jaxtyping import Bool, Float32, Int64
 from excavatwin.errors import require
 from excavatwin.scene.taxonomy import K, TaskClass
 from excavatwin.simulation.camera import Camera
-from excavatwin.simulation.emulators.fields import anchored, footprint, patches, stream
+from excavatwin.simulation.emulators.fields import (
+    LAB_PATCH,
+    anchored,
+    footprint,
+    lab,
+    lasting_field,
+    patches,
+    require_colours,
+    stream,
+)
 from excavatwin.simulation.render import RenderedView
 
 SPARSE = 0x5BA
@@ -52,7 +61,7 @@ class YoloeLike:
     """Log odds of a bush or a tree of ``size`` pixels. Calibrated."""
     stuff: float = 1.05
     """Expected number of partial blobs reported of each kind of ground and view. Calibrated."""
-    blob: float = 1.2
+    blob: float = 1.33
     """How far below its peak, in standard deviations, the field that a blob follows may fall inside it."""
     ghosts: float = 0.2
     """Expected number of false things reported on the ground and view: a heap called obstacle, a shadow, a rut."""
@@ -64,6 +73,9 @@ class YoloeLike:
     """Standard deviation of the luck of things in log odds."""
     sticky: float = 0.5
     """Share of the variance of that luck, and of what is taken for another class, that a thing has in every view."""
+    look: float = 0.5
+    """Share of what is fixed to the world that follows colour, for blobs of ground: which parts of a region are found,
+    and by which name. Things keep their own luck."""
     mistaken: float = 0.22
     """Share of reported things that are called another class."""
     border: float = 2.5
@@ -78,12 +90,12 @@ class YoloeLike:
     @classmethod
     def goose_ex(cls) -> YoloeLike:
         """Calibrated to the GOOSE-Ex row of tab:semantic_accuracy instead of the OCES row."""
-        return cls(machines=-3.4, things=-3.3, plants=-2.5, mistaken=0.35, stuff=1.25, ghosts=0.4)
+        return cls(machines=-3.4, things=-3.3, plants=-2.5, mistaken=0.35, stuff=1.4, ghosts=0.4)
 
     def __post_init__(self) -> None:
         for name in ("stuff", "ghosts", "luck", "border"):
             require(self, name, 0.0)
-        for name in ("sticky", "mistaken", "missing", "threshold"):
+        for name in ("sticky", "look", "mistaken", "missing", "threshold"):
             require(self, name, 0.0, 1.0)
         for name in ("size", "plant_cell"):
             require(self, name, 0.0, open_low=True)
@@ -91,7 +103,13 @@ class YoloeLike:
     def __call__(
         self, views: Sequence[RenderedView], cameras: Sequence[Camera], seed: int = 0
     ) -> list[Float32[np.ndarray, "H W K"]]:
-        """Mask times score of the best instance of each class, 0 where there is none."""
+        """Mask times score of the best instance of each class, 0 where there is none.
+
+        Raises:
+            InputError: ``look`` is above 0 and a view has no colours.
+        """
+        if self.look > 0:
+            require_colours(self, views)
         return [self._view(i, view, cameras[i], seed) for i, view in enumerate(views)]
 
     def _view(self, number: int, view: RenderedView, camera: Camera, seed: int) -> Float32[np.ndarray, "H W K"]:
@@ -166,15 +184,29 @@ class YoloeLike:
             count = rng.poisson(rate)
             if count == 0 or region.sum() < 500:
                 continue
-            lasting = anchored(view.points, 4.0, stream(seed, SPARSE, 6, place).integers(2**31).item())[..., 0]
+            by_place, by_looks = (stream(seed, SPARSE, key, place).integers(2**31).item() for key in (6, 8))
+            lasting = lasting_field(view, 4.0, self.look, (by_place, by_looks))[..., 0]
             for _ in range(count):
                 field = np.sqrt(self.sticky) * lasting
                 field = field + np.sqrt(1 - self.sticky) * patches(view.label.shape, 60.0, rng)[..., 0]
-                mistaken = called == true and rng.random() < self.mistaken
-                yield (
-                    peak(np.where(region, field, -9), self.blob),
-                    int(rng.choice(MISTAKEN[true])) if mistaken else called,
-                )
+                blob = peak(np.where(region, field, -9), self.blob)
+                yield blob, self._named(view, blob, true, seed, rng) if called == true else called
+
+    def _named(
+        self, view: RenderedView, blob: Bool[np.ndarray, "H W"], true: int, seed: int, rng: np.random.Generator
+    ) -> int:
+        """The class that a blob of ground is given; ground of its colour is mistaken for the same thing everywhere."""
+        from scipy.special import ndtr
+
+        fixed = self.sticky * self.look
+        if fixed > 0:
+            colour, of_looks = np.median(lab(view)[blob], axis=0), stream(seed, SPARSE, 9, true).integers(2**31).item()
+            chance, which = ndtr(anchored(colour, LAB_PATCH, of_looks, 2))
+            if chance < 1 - (1 - self.mistaken) ** fixed:
+                return MISTAKEN[true][int(which * len(MISTAKEN[true]))]
+        if rng.random() < 1 - (1 - self.mistaken) ** (1 - fixed):
+            return int(rng.choice(MISTAKEN[true]))
+        return true
 
 
 def paint(evidence: Float32[np.ndarray, "H W K"], mask: Bool[np.ndarray, "H W"], task_class: int, score: float) -> None:
