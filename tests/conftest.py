@@ -20,6 +20,7 @@ CHECKED = (
     "exchange",
     "export",
     "datasets",
+    *(f"studies.{name}" for name in ("baselines", "case_files", "cases", "pixels", "references", "terrain")),
 )
 install_import_hook([f"excavatwin.{room}" for room in CHECKED], "type_checks.checked")
 

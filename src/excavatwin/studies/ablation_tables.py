@@ -136,7 +136,8 @@ def full_method(results: Sequence[CaseResult], backbone: str, notes: Sequence[st
         digits = 4 if metric.unit == "m" else 0 if metric.unit == "1" else 2
         low, high = (float("nan") if v is None else v for v in (metric.low, metric.high))
         interval = Interval(metric.value, low, high, len(results))
-        rows.append((metric.meaning, metric.unit, f"{metric.value:.{digits}f}", bracket(interval, digits), None))
+        meaning = metric.meaning.partition(";")[0] + "; scale from one reference object, not among them"
+        rows.append((meaning, metric.unit, f"{metric.value:.{digits}f}", bracket(interval, digits), None))
     columns = ("figure", "unit", "mean", "95 % interval", "cases")
     return Table(f"The full method, {title_of(backbone, results)} backbone", columns, tuple(rows), tuple(notes))
 

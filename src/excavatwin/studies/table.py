@@ -36,10 +36,10 @@ class Table:
 
     def markdown(self) -> str:
         """GitHub-flavoured Markdown."""
-        lines = [f"## {self.title}", "", "| " + " | ".join(self.columns) + " |"]
+        lines = [f"## {self.title}", "", "| " + " | ".join(map(piped, self.columns)) + " |"]
         numeric = [all(not isinstance(row[i], str) for row in self.rows) for i in range(len(self.columns))]
         lines.append("|" + "|".join("---:" if right else "---" for right in numeric) + "|")
-        lines += ["| " + " | ".join(self.text(cell).replace("|", "\\|") for cell in row) + " |" for row in self.rows]
+        lines += ["| " + " | ".join(piped(self.text(cell)) for cell in row) + " |" for row in self.rows]
         return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), ""])
 
     def latex(self) -> str:
@@ -74,11 +74,20 @@ def missing(cell: Cell) -> Cell:
     return None if isinstance(cell, float) and math.isnan(cell) else cell
 
 
+def piped(text: str) -> str:
+    """Text that stays in its cell of a Markdown table."""
+    return text.replace("\\", "\\\\").replace("|", "\\|")
+
+
+LATEX = {sign: "\\" + sign for sign in "&%$#_{}"} | {
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"$<$", ">": r"$>$",
+    "–": "--", "±": r"$\pm$", "≥": r"$\geq$", "≤": r"$\leq$",
+}  # fmt: skip
+
+
 def escaped(text: str) -> str:
     """Text with the characters escaped that LaTeX reads as commands."""
-    for sign in "&%$#_{}":
-        text = text.replace(sign, "\\" + sign)
-    return text.replace("–", "--").replace("±", r"$\pm$").replace("≥", r"$\geq$").replace("≤", r"$\leq$")
+    return "".join(LATEX.get(sign, sign) for sign in text)
 
 
 def write_tables(tables: Sequence[Table], folder: Path, stem: str) -> list[Path]:

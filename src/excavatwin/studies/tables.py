@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from excavatwin.evaluation.bootstrap import mean_interval
 from excavatwin.evaluation.metric import Metric
 from excavatwin.studies.ablation import BACKBONE, FULL, CaseResult, ablations
-from excavatwin.studies.ablation_tables import MEANS, PROTOCOL, dimensions, values
+from excavatwin.studies.ablation_tables import PROTOCOL, dimensions, values
 from excavatwin.studies.paper_tables import ABLATION, BACKBONES, GEOMETRY, SEMANTICS, TITLES, published
 from excavatwin.studies.table import Cell, Table
 
@@ -105,7 +105,7 @@ def semantic_table(ours: Ours) -> Table:
         for backbone in BACKBONES
         for configuration in (BACKBONE, FULL)
     )  # fmt: skip
-    notes = (PROTOCOL, MEANS, *_notes(ours, SEMANTIC_NEEDS))
+    notes = (PROTOCOL, *_notes(ours, SEMANTIC_NEEDS))
     return Table(
         "Semantic accuracy and spatial coverage (tab:semantic_accuracy)", ("backbone", "method", *_heads(SEMANTICS)),
         rows, notes,
@@ -118,7 +118,7 @@ def ablation_table(ours: Ours) -> Table:
     rows = tuple(
         (name, *(cell for dataset in ABLATION for cell in _beside(ours, dataset, "yoloe", name))) for name in names
     )
-    notes = (PROTOCOL, MEANS, *_notes(ours, ABLATION_NEEDS))
+    notes = (PROTOCOL, *_notes(ours, ABLATION_NEEDS))
     return Table("Ablation with YOLOE (tab:yoloe_ablation)", ("configuration", *_heads(ABLATION)), rows, notes)
 
 
@@ -156,8 +156,8 @@ def _notes(ours: Ours, needs: str) -> tuple[str, ...]:
     notes = []
     if ours.simulated and "oces" not in ours.summaries:
         notes.append(
-            f"Ours in the columns and rows of OCES: simulated sites in its manner, {ours.source}, with emulated "
-            "backbones; the paper's: its own recordings, which are not public. The two are not the same data."
+            f"Ours in the columns and rows of OCES: {ours.source}, with emulated backbones, means over sites; "
+            " the paper's: its own recordings, which are not public. The two are not the same data."
         )
     notes += [f"Ours in {TITLES[d]}: the given SITEs, {BACKBONES[ours.segmenter]}." for d in ours.summaries]
     return (*notes, f"A dash was not measured: {needs}")
