@@ -146,7 +146,7 @@ def test_blobs_of_a_detector_lie_where_colours_tell_when_told_to(views) -> None:
 @pytest.mark.parametrize("segmenter", SEGMENTERS)
 def test_errors_that_follow_looks_need_colours(segmenter, views) -> None:
     black = [replace(view, image=np.zeros_like(view.image)) for view in views[:2]]
-    with pytest.raises(InputError, match="View 0 is black.*look=0"):
+    with pytest.raises(InputError, match=r"View 0 is black.*look=0"):
         segmenter(black, CAMERAS, 1)
     assert replace(segmenter, look=0)(black, CAMERAS, 1)[0].max() >= 0
 
