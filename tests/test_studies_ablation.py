@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from excavatwin.cli.ablate import read_seeds, source_of
 from excavatwin.errors import InputError
 from excavatwin.geometry.scale import Reference, Scale
 from excavatwin.mapper import Mapper
@@ -18,7 +19,7 @@ from excavatwin.scene.taxonomy import NOT_OBSERVED, TaskClass
 from excavatwin.simulation import RenderedView
 from excavatwin.studies.ablation import BACKBONE, FULL, ORACLES, ablations, names, study_case, with_references
 from excavatwin.studies.case_files import case_from_files, in_photo, labels_on_lattice, similarity_by_cameras
-from excavatwin.studies.cases import Case, simulated_case
+from excavatwin.studies.cases import HELD_OUT_SEEDS, TUNING_SEEDS, Case, simulated_case
 from excavatwin.studies.kept_cases import Work, studied
 from excavatwin.studies.pixels import PixelLabels, backbone_labels, scores
 from excavatwin.studies.references import MARGIN, ends, reference_object
@@ -298,6 +299,14 @@ def test_bad_input_is_one_sentence(tmp_path: Path) -> None:
     assert "one --sites for each" in sentence(cli("tables", tmp_path, "-o", tmp_path / "out"))
     assert "nothing to measure" in sentence(cli("tables", "--simulated", "0", "-o", tmp_path / "out"))
     assert not (tmp_path / "out").exists()
+
+
+def test_tables_say_on_which_sites_parameters_were_chosen() -> None:
+    assert read_seeds(20, None) == range(200, 220)
+    assert tuple(read_seeds(20, None)) == HELD_OUT_SEEDS
+    assert not set(TUNING_SEEDS) & set(HELD_OUT_SEEDS)
+    assert source_of(range(119, 121)).endswith("119 to 120, on which parameters were chosen")
+    assert source_of(range(200, 201)) == "simulated site with seed 200, on which nothing was tuned"
 
 
 def test_views_of_other_names_are_refused(tiny: Case, tmp_path: Path) -> None:
