@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scipy.stats import norm
 
 from excavatwin.errors import InputError
 from excavatwin.mapper import Mapper
 from excavatwin.mapping.assembly import cell_support
-from excavatwin.mapping.boxes import convex_hull, smallest_rectangle
+from excavatwin.mapping.boxes import convex_hull, smallest_rectangle, weighted_bounds
 from excavatwin.mapping.cell_labels import CellLabels
 from excavatwin.mapping.elevation import Elevation
 from excavatwin.mapping.instances import Instances
-from excavatwin.mapping.occupancy import Occupancy
+from excavatwin.mapping.occupancy import Occupancy, witnessed
 from excavatwin.mapping.raster import Cells, Raster
 from excavatwin.scene.labels import Labels
 from excavatwin.scene.observations import Georeference
@@ -183,9 +183,30 @@ def test_parts_of_one_class_apart_by_less_than_the_radius_are_one() -> None:
 
 
 def test_what_is_low_or_small_is_no_object() -> None:
-    numbers, classes = _instances((1, 1, 12, 2, 5), (4, 1, 1, 3, 5), (6, 1, 1, 2, 4))
+    bodies = (1, 1, 12, 2, 5), (4, 1, 1, 3, 5), (6, 1, 1, 2, 4)
+    numbers, classes = _instances(*bodies, stage=Instances(min_samples=12))
     assert numbers == [{0}, {1}, {0}]  # 0.2 m high; 12 voxels, 0.3 m high; 8 voxels
     assert classes == [{5}, {5}, {4}]  # the class stays, the object is not made
+    assert _instances(*bodies)[0] == [{0}, {0}, {0}]  # and the second is a speck while only one view found it
+
+
+def _machines(*bodies: tuple[float, float, int, int, int]) -> tuple[list[set[int]], list[set[int]]]:
+    voxels, labels, rows = _bodies(*bodies)
+    of_voxel, after = Instances()(voxels, flat_local(len(voxels)), labels, _ground(voxels), metric=True)
+    return [set(of_voxel[r].tolist()) for r in rows], [set(after.label[r].tolist()) for r in rows]
+
+
+def test_parts_of_a_boom_belong_to_the_machine_they_can_be_reached_from() -> None:
+    machine, stick = (1, 1, 15, 20, 4), (4.2, 1, 3, 10, 4)
+    assert _machines(machine, stick) == ([{1}, {1}], [{4}, {4}])  # 1.8 m of boom are missing
+    bucket = (6.0, 1, 3, 10, 4)
+    assert _machines(machine, stick, bucket) == ([{1}] * 3, [{4}] * 3)  # reached by way of the stick
+    assert _machines(machine, bucket) == ([{1}, {2}], [{4}, {5}])  # too far: and too small for a machine
+    cone = (4.2, 1, 3, 4, 4)
+    assert _machines(machine, cone) == ([{1}, {2}], [{4}, {5}])  # no part of a machine is as low
+    assert _machines((1, 1, 15, 20, 5), stick) == ([{1}, {2}], [{5}, {5}])  # an obstacle has no boom
+    other = (4.2, 1, 12, 20, 4)
+    assert _machines(machine, other) == ([{1}, {2}], [{4}, {4}])  # two machines stay two
 
 
 def test_a_body_whose_sides_are_missing_is_one() -> None:
@@ -261,6 +282,49 @@ def test_the_box_of_an_object(yaw: float) -> None:
     assert box.confidence == pytest.approx(0.75)
     x, y = box.footprint.T
     assert np.dot(x, np.roll(y, -1)) > np.dot(y, np.roll(x, -1))  # counter-clockwise
+
+
+def test_a_halo_does_not_widen_the_box_and_a_boom_is_not_cut_off() -> None:
+    """A body that eight views find, a skirt around it of one, and a boom of two that stands alone."""
+    rng = np.random.default_rng(1)
+    body = rng.uniform([-2, -1, 0], [2, 1, 2], (3000, 3))
+    skirt = rng.uniform([-2.15, -1.15, 0], [2.15, 1.15, 2], (3000, 3))
+    skirt = skirt[(np.abs(skirt[:, 0]) > 2) | (np.abs(skirt[:, 1]) > 1)]
+    boom = rng.uniform([3.5, -0.1, 1], [4.5, 0.1, 1.2], (80, 3))
+    n = [len(body), len(skirt), len(boom)]
+    xyz = np.concatenate([body, skirt, boom])
+    seen = np.repeat([8, 1, 2], n)
+    voxels = voxels_at(xyz, 0.1, S=8)
+    kept = np.repeat(np.arange(8), len(xyz)) < np.tile(seen, 8)
+    neighbours = cKDTree(xyz).query(xyz, 25)[1][:, 1:].astype(np.int32)
+    voxels = replace(voxels, voxel=voxels.voxel[kept], view=voxels.view[kept], xyz=voxels.xyz[kept],
+                     confidence=voxels.confidence[kept], evidence=voxels.evidence[kept],
+                     neighbours=neighbours, distances=np.zeros(neighbours.shape, np.float32))  # fmt: skip
+    terrain, labels = terrain_below(voxels, np.zeros(len(xyz), bool)), labels_of(np.full(len(xyz), 4))
+    instance = np.ones(len(xyz), np.int32)
+
+    def size(stage: Occupancy) -> tuple[float, float, float]:
+        weight = witnessed(voxels) ** stage.witnesses
+        return stage.box(1, instance == 1, voxels, labels, terrain, weight).size
+
+    length, width, _ = size(Occupancy())
+    assert width == pytest.approx(2.0, rel=0.03)
+    assert 5.8 < length < 6.5  # its tip is trimmed with the rest, the boom is not
+    assert size(Occupancy(witnesses=0))[1] > 2.15  # every voxel alike: the skirt counts
+
+
+@relaxed
+@given(seeds, st.sampled_from([0.0, 0.01, 0.1]))
+def test_weighted_bounds_against_repetition(seed: int, trim: float) -> None:
+    """A point of weight 3 is three points."""
+    rng = np.random.default_rng(seed)
+    x, weight = rng.normal(size=30), rng.integers(1, 5, 30)
+    low, high = weighted_bounds(x, weight.astype(float), trim)
+    assert (low, high) == weighted_bounds(np.repeat(x, weight), np.ones(weight.sum()), trim)
+    assert weight[x < low].sum() <= trim * weight.sum() + 1e-9
+    assert weight[x > high].sum() <= trim * weight.sum() + 1e-9
+    if trim == 0:
+        assert (low, high) == (x.min(), x.max())
 
 
 def test_a_map_without_objects() -> None:

@@ -1,11 +1,11 @@
-"""Oriented boxes: the rectangle of least area around a footprint, by rotating calipers on its convex hull."""
+"""Oriented boxes: the rectangle of least area around a footprint, and which of its points are its core."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 
 @dataclass(frozen=True)
@@ -59,3 +59,29 @@ def smallest_rectangle(hull: Float64[np.ndarray, "h 2"]) -> Rectangle:
     angle = np.degrees(angles[best]) + (0.0 if a >= b else 90.0)
     yaw = float((angle + 90.0) % 180.0 - 90.0)  # a hair below -90 comes out as +90
     return Rectangle(centre, float(max(a, b)), float(min(a, b)), yaw if yaw < 90.0 else -90.0)
+
+
+def core(xy: Float64[np.ndarray, "n 2"], weight: Float64[np.ndarray, "n"], trim: float) -> Bool[np.ndarray, "n"]:
+    """The points inside the smallest of the rectangles, one a degree, that leave out ``trim`` of the weight a side.
+
+    Unlike the hull of all points, its direction does not depend on the outermost ones.
+    """
+    best, inside = np.inf, np.ones(len(xy), bool)
+    for angle in np.radians(np.arange(90)):
+        c, s = np.cos(angle), np.sin(angle)
+        sides = (xy @ np.array([c, s]), xy @ np.array([-s, c]))
+        (a0, a1), (b0, b1) = (weighted_bounds(side, weight, trim) for side in sides)
+        if (a1 - a0) * (b1 - b0) < best:
+            best = (a1 - a0) * (b1 - b0)
+            inside = (sides[0] >= a0) & (sides[0] <= a1) & (sides[1] >= b0) & (sides[1] <= b1)
+    return inside
+
+
+def weighted_bounds(x: Float64[np.ndarray, "n"], weight: Float64[np.ndarray, "n"], trim: float) -> tuple[float, float]:
+    """The smallest and the largest value that do not lie in the outermost ``trim`` of the weight."""
+    order = np.argsort(x)
+    share = np.cumsum(weight[order])
+    low = int(np.searchsorted(share, trim * share[-1], side="right"))
+    high = int(np.searchsorted(share, (1 - trim) * share[-1], side="left"))
+    last = len(x) - 1
+    return float(x[order[min(low, last)]]), float(x[order[min(max(high, low), last)]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
 from excavatwin.scene.labels import Labels
 from excavatwin.scene.support import LocalGeometry, Terrain
@@ -31,10 +31,15 @@ class Instances:
     min_height: float = 2.5
     """Least height above the terrain that an object must reach [voxels]."""
     machine: float = 1.0
-    """Least extent of a machine [m]: a smaller body of excavator voxels is an obstacle. Not used while the scale is
-    unknown."""
-    fragment: float = 0.2
+    """Least extent of a machine in plan [m]: a smaller body of excavator voxels is an obstacle. Not used while the
+    scale is unknown."""
+    reach: float = 2.0
+    """A smaller excavator body nearer than this to a machine, in plan, and at least half as high as ``machine``, is a
+    part of it [m]: booms are too thin to be seen throughout. Not used while the scale is unknown."""
+    fragment: float = 0.3
     """A touching component of the other class joins a body when it has less than this share of its voxels."""
+    min_samples: int = 36
+    """Least number of view samples of an object: the smallest must be found by three views or so, or it is a speck."""
 
     def __call__(
         self, voxels: Voxels, local: LocalGeometry, labels: Labels, terrain: Terrain, metric: bool
@@ -52,10 +57,15 @@ class Instances:
         first[cluster[::-1]] = rows[::-1]
         label[rows] = labels.label[first[body]]
         if metric:
-            small = extents(voxels.centre[rows], body, len(size)) < self.machine
+            level = voxels.centre[rows] * np.array([1, 1, 0], np.float32)  # a person is as high as a machine is wide
+            small = extents(level, body, len(size)) < self.machine
+            part = label[rows] == TaskClass.EXCAVATOR
+            body[part] = self.assembled(voxels.centre[rows[part]], body[part], small, terrain.height[rows[part]])
+            small = extents(level, body, len(size)) < self.machine
             label[rows[small[body] & (label[rows] == TaskClass.EXCAVATOR)]] = TaskClass.OBSTACLE
         of_voxel = np.zeros(len(voxels), np.int32)
-        of_voxel[rows] = self.numbered(body, len(size), terrain.height[rows], voxels.size)
+        samples = np.bincount(voxels.voxel, minlength=len(voxels))[rows]
+        of_voxel[rows] = self.numbered(body, len(size), terrain.height[rows], voxels.size, samples)
         return of_voxel, replace(labels, label=label)
 
     def hosts(
@@ -71,14 +81,46 @@ class Instances:
         own = np.arange(len(size), dtype=np.int32)
         return np.where(size < self.fragment * size[host], host, own).astype(np.int32)
 
+    def assembled(
+        self,
+        xyz: Float32[np.ndarray, "n 3"],
+        body: Int32[np.ndarray, "n"],
+        small: Bool[np.ndarray, "c"],
+        height: Float32[np.ndarray, "n"],
+    ) -> Int32[np.ndarray, "n"]:
+        """Body of every excavator voxel once the parts within reach of a machine, or of its parts, belong to it."""
+        from scipy.spatial import cKDTree
+
+        body = body.copy()
+        high = np.full(len(small), -np.inf)
+        np.maximum.at(high, body, height)
+        fresh, loose = ~small[body], small[body] & (high[body] >= 0.5 * self.machine)
+        while fresh.any() and loose.any():
+            near, at = cKDTree(xyz[fresh, :2]).query(xyz[loose, :2], distance_upper_bound=self.reach)
+            host = body[fresh]
+            fresh = np.zeros(len(body), bool)
+            for part in np.unique(body[loose][np.isfinite(near)]):
+                own = body[loose] == part
+                member = body == part
+                body[member] = host[at[own][np.argmin(near[own])]]
+                fresh |= member
+                loose, near, at = loose & ~member, near[~own], at[~own]
+        return body
+
     def numbered(
-        self, body: Int32[np.ndarray, "n"], count: int, height: Float32[np.ndarray, "n"], voxel: float
+        self,
+        body: Int32[np.ndarray, "n"],
+        count: int,
+        height: Float32[np.ndarray, "n"],
+        voxel: float,
+        samples: Int64[np.ndarray, "n"],
     ) -> Int32[np.ndarray, "n"]:
         """Object numbers of the bodies that are large and high enough, from 1 in order of size; 0 for the others."""
         size = np.bincount(body, minlength=count)
         top = np.full(count, -np.inf)
         np.maximum.at(top, body, height)
-        keep = (size >= self.min_voxels) & (top >= self.min_height * voxel)
+        seen = np.bincount(body, samples, minlength=count) >= self.min_samples
+        keep = (size >= self.min_voxels) & seen & (top >= self.min_height * voxel)
         order = np.argsort(-size, kind="stable")
         number = np.zeros(count, np.int32)
         number[order[keep[order]]] = np.arange(1, keep.sum() + 1)

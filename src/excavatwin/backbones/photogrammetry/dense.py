@@ -77,7 +77,7 @@ class Dense:
     """The same in photos whose optical axis is more than 30 degrees off the vertical."""
     surface_step: float = 0.015
     """Neighbouring pixels belong to one surface when their depths differ by less than this share."""
-    surface_least: float = 2e-4
+    surface_least: float = 8e-5
     """Surfaces smaller than this share of the image are dropped."""
     threads: int = 0
     """Photos worked on at the same time; 0 = number of processors. The result does not depend on it."""
