@@ -111,7 +111,7 @@ def test_a_gap_is_filled_only_where_the_support_is_compatible(on_terrain: bool, 
     if on_terrain == (k in (1, 2)):
         assert (sample_labels(gap, 1e-6) == k).all()
         d = np.array([1, 2, 3, 3, 2, 1])  # voxels to the nearest anchor
-        assert gap[:, k - 1] == pytest.approx(0.8 / (1 + (d / 50) ** 2) * 0.8, rel=1e-4)
+        assert gap[:, k - 1] == pytest.approx(0.8 / (1 + (d / 25) ** 2) * 0.8, rel=1e-4)
     else:
         assert not gap.any()
     assert (filled[:15] == voxels.evidence[:15]).all()

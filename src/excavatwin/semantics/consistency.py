@@ -31,7 +31,7 @@ class Consistency:
     """Linkage distance of the clusters [voxels]."""
     min_cluster: int = 3
     """Smallest cluster that is not noise [voxels]."""
-    reach: float = 50.0
+    reach: float = 25.0
     """Distance at which an anchor lends half of its evidence [voxels]. Terrain goes on beyond it, and so does what is
     lent; a body does not, and no anchor farther than this lends a class to it."""
     decay: float = 0.8
