@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("sequences", nargs="*", help="names of sequences; all when none is given")
     parser.add_argument("--out", type=Path, help="where the maps go; by default they are thrown away")
     parser.add_argument("--lattice", type=int, default=Photogrammetry().lattice, help="see `excavatwin config`")
-    chosen = parser.parse_args(arguments)
+    chosen = parser.parse_intermixed_args(arguments)
     dataset = open_oces([chosen.folder])
     names = [n for n in dataset.names if not chosen.sequences or n.split("/")[0] in chosen.sequences]
     if not names:
