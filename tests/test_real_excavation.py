@@ -80,4 +80,5 @@ def test_machine_and_pipes_stand_in_the_object_layer_and_heaps_do_not(excavation
     assert pipes["class"] == "obstacle"
     assert pipes["size"][0] > 20  # a row of about sixty pipes stands as one body
     with xarray.open_dataset(excavation / "map.nc") as m:
-        assert np.isnan(m.elevation.values[m.object_id.values > 0]).mean() > 0.7  # edges share cells with the ground, which the consistency fills
+        # Edges of objects share cells with the ground, which the consistency fills.
+        assert np.isnan(m.elevation.values[m.object_id.values > 0]).mean() > 0.7
