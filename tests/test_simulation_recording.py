@@ -189,6 +189,9 @@ def test_the_command_records_and_tells_what_to_type_next(tmp_path, monkeypatch, 
         (("-o", "x", "--flight", "zigzag"), "zigzag"),
         (("-o", "x", "--sequences", "0"), "--sequences is 0"),
         (("-o", "x", "--dust", "-1"), "dust is -1"),
+        (("-o", "x", "--gps-error", "nan"), "--gps-error is nan"),
+        (("-o", "x", "--gps-error", "-1"), "--gps-error is -1"),
+        (("-o", "x", "--seed", "99999999999999999999"), "--seed is 999"),
     ):
         assert main(["simulate", *words]) == 2
         assert told in capsys.readouterr().err

@@ -202,6 +202,7 @@ def test_the_command_writes_its_tables(plot: Cloud, tmp_path: Path) -> None:
         ((), "nothing to compare on"),
         (("--isprs", "nowhere"), "no folder"),
         (("--simulated", "-1"), "number of sites"),
+        (("--simulated", "1", "--first-seed", "-1"), "--first-seed is -1"),
     ],
 )
 def test_bad_input_is_one_sentence(words: tuple[str, ...], expected: str, tmp_path: Path) -> None:

@@ -60,6 +60,7 @@ def ablate_command(
         TOML file with parameters of the full method; flags (--mapper...) win over it.
     """
     from excavatwin.cli.console import say, shown_progress
+    from excavatwin.cli.values import check_folder
     from excavatwin.errors import InputError
 
     mapper = read_mapper(config, changes, "ablate")
@@ -68,6 +69,8 @@ def ablate_command(
         raise InputError("--truth, --reference and --force belong to OBSERVATIONS, which are not given.")
     if observations is not None and (simulated is not None or first_seed is not None):
         raise InputError("OBSERVATIONS and --simulated exclude each other; run the command once for each.")
+    if observations is not None and backbone != "both":
+        raise InputError("--backbone belongs to simulated sites; OBSERVATIONS have the classes that are in them.")
     seeds = read_seeds(20 if simulated is None else simulated, first_seed)
     from excavatwin.studies.ablation import chosen
     from excavatwin.studies.ablation_tables import ablation_tables
@@ -99,11 +102,14 @@ def own_work(
     from excavatwin.errors import InputError
     from excavatwin.studies.case_files import case_from_files
     from excavatwin.studies.kept_cases import Work
+    from excavatwin.studies.site_evaluation import read_truth
     from excavatwin.survey import fingerprint
 
     if truth is None:
         raise InputError("what is true about OBSERVATIONS is not given: add --truth truth.npz.")
     references = parse_references(reference)
+    if observations.exists():
+        read_truth(truth)  # says in one sentence what is wrong with it
     case = case_from_files(observations, truth, references, force)
     files = sorted(observations.rglob("*")) if observations.is_dir() else [observations]
     hashes = fingerprint.of_files([*(file for file in files if file.is_file()), truth])
@@ -127,31 +133,19 @@ def read_mapper(config: Path | None, changes: Mapping[str, Any] | None, command:
     return plan.mapper
 
 
-def check_folder(output: Path) -> None:
-    """Refuse what cannot become the output folder before anything is computed.
-
-    Raises:
-        InputError: it is a file.
-    """
-    from excavatwin.errors import InputError
-
-    if output.exists() and not output.is_dir():
-        raise InputError(f"{output} is a file, where a folder was to be written; give another name.")
-
-
 def read_seeds(simulated: int, first_seed: int | None) -> range:
     """Seeds of the simulated sites; the held-out ones unless another first one is given.
 
     Raises:
-        InputError: there is none, or it is negative.
+        InputError: there is none, or the first is no seed.
     """
+    from excavatwin.cli.values import check_seed
     from excavatwin.errors import InputError
 
     first = 200 if first_seed is None else first_seed
     if simulated < 1:
         raise InputError(f"--simulated is {simulated}; expected a number of sites, such as 4.")
-    if first < 0:
-        raise InputError(f"--first-seed is {first}; expected a number from 0 on.")
+    check_seed("--first-seed", first)
     return range(first, first + simulated)
 
 

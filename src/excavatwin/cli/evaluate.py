@@ -68,6 +68,7 @@ def evaluate_command(
     from excavatwin.cli.console import say, shown_progress
     from excavatwin.cli.mapping import read_plan
     from excavatwin.cli.metric_report import report
+    from excavatwin.cli.values import check_seed
     from excavatwin.errors import InputError
     from excavatwin.evaluation.scores import check_places, write_scores
     from excavatwin.studies.dataset_evaluation import Scoring
@@ -76,6 +77,11 @@ def evaluate_command(
         what = "is a file" if subject.exists() else "does not exist"
         raise InputError(f"{subject} {what}; give a SITE folder, or the folder of a data set.")
     check_places(output, json, csv)
+    if json is not None and csv is not None and json.absolute() == csv.absolute():
+        raise InputError(f"--json and --csv are the same file, {json}; give two names.")
+    if sites is not None and sites.exists() and not sites.is_dir():
+        raise InputError(f"--sites {sites} is a file; give the folder of the SITE folders.")
+    check_seed("--seed", seed)
     scoring = Scoring(align, reference, policy, segmenter, seed)
     if is_site(subject):
         if sites is not None or no_map:

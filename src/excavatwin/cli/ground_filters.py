@@ -32,14 +32,15 @@ def ground_filters_command(
     # CSF's threads wait by spinning, a hundred times slower on a busy machine; read when its library is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     from excavatwin.cli.console import say, shown_progress
+    from excavatwin.cli.values import check_folder, check_seed
     from excavatwin.errors import InputError
 
     if isprs is not None and not isprs.is_dir():
         raise InputError(f"{isprs} is no folder; give the one that holds the ISPRS samples.")
     if simulated < 0:
         raise InputError(f"--simulated is {simulated}; expected a number of sites, such as 4.")
-    if output.exists() and not output.is_dir():
-        raise InputError(f"{output} is a file, where a folder was to be written; give another name.")
+    check_seed("--first-seed", first_seed)
+    check_folder(output)
     from excavatwin.studies.ground_filters import compare_filters
 
     with shown_progress() as progress:

@@ -73,12 +73,16 @@ def simulate_command(
     import time
 
     from excavatwin.cli.console import shown_progress
+    from excavatwin.cli.values import check_seed
     from excavatwin.errors import InputError
     from excavatwin.simulation.conditions import Conditions
     from excavatwin.simulation.recording import Shoot, record_dataset
 
-    if sequences < 1 or seed < 0:
-        raise InputError(f"--sequences is {sequences} and --seed {seed}; give at least 1 and at least 0.")
+    if sequences < 1:
+        raise InputError(f"--sequences is {sequences}; expected a number of sites, such as 3.")
+    if not 0 <= gps_error <= 100:
+        raise InputError(f"--gps-error is {gps_error}; expected metres, at least 0 and at most 100.")
+    check_seed("--seed", seed)
     conditions = Conditions(sun_elevation, turbidity, dust, motion_blur, exposure_drift, grain)
     flights = MIXED if flight == "mixed" else (flight,)
     shoots = [

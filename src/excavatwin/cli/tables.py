@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from excavatwin.cli.ablate import Output, check_folder, read_mapper, read_seeds, source_of
+from excavatwin.cli.ablate import Output, read_mapper, read_seeds, source_of
 from excavatwin.cli.mapping import Changes, Config
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ def tables_command(
         TOML file with parameters of the full method; flags (--mapper...) win over it.
     """
     from excavatwin.cli.console import say, shown_progress
+    from excavatwin.cli.values import check_folder
     from excavatwin.errors import InputError
 
     mapper = read_mapper(config, changes, "tables")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 import json
 import math
+import os
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,9 @@ from typing import Any
 
 from excavatwin.cli.references import format_reference, is_reference, parse_reference
 from excavatwin.errors import InputError
+
+MOST_SEED = 2**62
+"""What 64-bit random generators take, with room to count up."""
 
 
 def convert(value: Any, kind: Any, path: tuple[str, ...]) -> Any:
@@ -128,3 +132,28 @@ def toml_value(value: Any) -> str | None:
 
 def _key(name: Any) -> str:
     return name.name.lower() if isinstance(name, enum.Enum) else json.dumps(str(name))
+
+
+def check_seed(flag: str, seed: int) -> None:
+    """Refuse seeds that no random generator here takes.
+
+    Raises:
+        InputError: it is negative or has more than 62 bits.
+    """
+    if not 0 <= seed < MOST_SEED:
+        raise InputError(f"{flag} is {seed}; expected a number from 0 on, such as 1.")
+
+
+def check_folder(output: Path) -> None:
+    """Refuse what cannot become the output folder before anything is computed.
+
+    Raises:
+        InputError: it is a file, lies in one, or cannot be written.
+    """
+    if output.exists() and not output.is_dir():
+        raise InputError(f"{output} is a file, where a folder was to be written; give another name.")
+    there = next(place for place in (output.absolute(), *output.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise InputError(f"{output} cannot be written: {there} is a file; give another name.")
+    if not os.access(there, os.W_OK):
+        raise InputError(f"{output} cannot be written: {there} is read-only for you; choose another place.")

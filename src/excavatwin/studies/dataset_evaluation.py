@@ -241,7 +241,10 @@ def nothing_to_score(dataset: Dataset, sites: Path, map_missing: bool) -> str:
     """What is missing, and what to do."""
     name = dataset.names[0] if dataset.names else "NAME"
     if simulated(dataset) and not map_missing:
-        return f"{sites} holds no SITE of {dataset.name} (such as {sites / name}); leave --no-map out to map them."
+        return (
+            f"{sites} holds no SITE of {dataset.name} (such as {sites / name}); map them with `excavatwin evaluate "
+            f"{dataset.folders[0]} --sites {sites}`."
+        )
     return (
         f"{sites} holds no SITE of {dataset.name}; map photos of a recording first, such as "
         f"`excavatwin map PHOTOS -o {sites / name}`, and give --sites {sites}."
