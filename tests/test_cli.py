@@ -154,10 +154,18 @@ def test_references_are_read_and_written() -> None:
             parse_reference(text)
 
 
+def interrupted_in_compiled_code() -> SystemError:
+    """What CPython raises when Ctrl-C comes while a compiled function runs."""
+    error = SystemError("CPUDispatcher returned a result with an exception set")
+    error.__cause__ = KeyboardInterrupt()
+    return error
+
+
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
         (KeyboardInterrupt(), 130, "same command resumes"),
+        (interrupted_in_compiled_code(), 130, "same command resumes"),
         (InputError("these photos are of a cat."), 2, "these photos are of a cat."),
         (MemoryError(), 2, "memory ran out"),
         (ZeroDivisionError("oops"), 1, "--debug"),

@@ -42,9 +42,17 @@ def _run(words: list[str]) -> int:
     if "changes" in ignored:
         bound.arguments["changes"] = changes
     elif changes:
-        raise InputError("stage parameters belong to `map`, `fuse`, `config`, `demo` or `evaluate`.")
+        raise InputError("stage parameters belong to map, fuse, config, demo, evaluate, ablate or tables.")
     result = command(*bound.args, **bound.kwargs)
     return result if isinstance(result, int) else 0
+
+
+def _hides_interrupt(error: BaseException) -> bool:
+    """Whether Ctrl-C came while compiled code ran: CPython then raises a SystemError with the interrupt behind it."""
+    behind: BaseException | None = error
+    while isinstance(behind, SystemError):
+        behind = behind.__cause__ or behind.__context__
+    return isinstance(behind, KeyboardInterrupt)
 
 
 def _explain(error: BaseException) -> int:
@@ -54,7 +62,7 @@ def _explain(error: BaseException) -> int:
     from excavatwin.cli.console import complain
     from excavatwin.errors import ExcavatwinError
 
-    if isinstance(error, KeyboardInterrupt):
+    if isinstance(error, KeyboardInterrupt) or _hides_interrupt(error):
         complain("interrupted; finished stages are kept, and the same command resumes after them.")
         return 130
     if isinstance(error, CycloptsError):
