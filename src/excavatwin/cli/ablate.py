@@ -102,14 +102,11 @@ def own_work(
     from excavatwin.errors import InputError
     from excavatwin.studies.case_files import case_from_files
     from excavatwin.studies.kept_cases import Work
-    from excavatwin.studies.site_evaluation import read_truth
     from excavatwin.survey import fingerprint
 
     if truth is None:
         raise InputError("what is true about OBSERVATIONS is not given: add --truth truth.npz.")
     references = parse_references(reference)
-    if observations.exists():
-        read_truth(truth)  # says in one sentence what is wrong with it
     case = case_from_files(observations, truth, references, force)
     files = sorted(observations.rglob("*")) if observations.is_dir() else [observations]
     hashes = fingerprint.of_files([*(file for file in files if file.is_file()), truth])

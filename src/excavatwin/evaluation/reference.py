@@ -25,7 +25,7 @@ def load_elevation(path: str | Path) -> Truth:
     """A GeoTIFF of terrain heights in a projected CRS: square cells, north up, NaN or nodata where unknown.
 
     Raises:
-        InputError: no such file, no GeoTIFF, no projected CRS in metres, or turned or oblong cells.
+        InputError: no such file, no GeoTIFF, whole numbers, no projected CRS in metres, or turned or oblong cells.
     """
     import rasterio
 
@@ -35,6 +35,10 @@ def load_elevation(path: str | Path) -> Truth:
             at, crs = raster.transform, raster.crs
     except (rasterio.RasterioIOError, OSError) as error:
         raise InputError(f"{path} cannot be read as an elevation raster ({error}); expected a GeoTIFF.") from error
+    except TypeError as error:  # whole numbers have no NaN
+        raise InputError(
+            f"{path} holds whole numbers; heights are expected as float32 (gdal_translate -ot Float32)."
+        ) from error
     epsg = crs.to_epsg() if crs else None
     if epsg is None or not crs.is_projected:
         raise InputError(f"{path} says no projected CRS by EPSG code; write one into it (gdal_translate -a_srs).")

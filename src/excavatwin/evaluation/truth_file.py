@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from zipfile import BadZipFile, is_zipfile
+from zlib import error as ZlibError
 
 import numpy as np
 
@@ -20,11 +22,17 @@ def load_truth(path: str | Path) -> Truth:
     """The truth in a file.
 
     Raises:
-        InputError: the file is missing, is no ``.npz``, or lacks an array.
+        InputError: the file is missing, damaged, is no ``.npz``, or lacks an array.
     """
+    if Path(path).is_file() and not is_zipfile(path):
+        raise InputError(
+            f"{path} cannot be read: it is no .npz file, or damaged; give the truth.npz of a simulated site."
+        )
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
+    except (BadZipFile, ZlibError) as error:
+        raise InputError(f"{path} is damaged ({error}); copy or simulate it again.") from error
     except (OSError, ValueError) as error:
         raise InputError(
             f"{path} cannot be read as a truth file ({error}); expected an .npz with {', '.join(REQUIRED)}."

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,43 +55,15 @@ def evaluate_site_folder(site: Path, truth: Path, scoring: Scoring) -> Scores:
         raise InputError(f"{site} is damaged ({error}); map it again.") from error
     settings = scoring.settings(TASK_POLICY) | {"truth": str(truth)}
     if truth.suffix.lower() in RASTERS:
-        heights = read_heights(truth)
+        heights = load_elevation(truth)
         metrics = elevation_metrics(m, heights, align(m, views, heights, scoring.way))
         return Scores(str(site), settings, (Row(site.name, "", metrics),))
-    known = read_truth(truth)
+    known = load_truth(truth)
     alignment = align(m, views, known, scoring.way)
     elevation = lidar_beside(truth, known) if scoring.reference == "lidar" else None
     metrics = score(m, views, known, alignment, elevation)
     curve = map_curve(m, known, alignment).thinned()
     return Scores(str(site), settings, (Row(site.name, "", metrics, curve=curve),), notes=doubts(metrics, alignment))
-
-
-def read_truth(path: Path) -> Truth:
-    """The truth in ``truth.npz``.
-
-    Raises:
-        InputError: the file is missing, damaged, or something else.
-    """
-    if path.is_file() and not zipfile.is_zipfile(path):
-        raise InputError(f"{path} is no .npz file, or it is damaged; give the truth.npz of a simulated site.")
-    try:
-        return load_truth(path)
-    except (zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path} is damaged ({error}); copy or simulate it again.") from error
-
-
-def read_heights(path: Path) -> Truth:
-    """Terrain heights in a GeoTIFF.
-
-    Raises:
-        InputError: the file cannot be read, or holds whole numbers, which have no NaN.
-    """
-    try:
-        return load_elevation(path)
-    except TypeError as error:
-        raise InputError(
-            f"{path} holds whole numbers; heights are expected as float32 (gdal_translate -ot Float32)."
-        ) from error
 
 
 def lidar_beside(truth_file: Path, truth: Truth) -> Truth:
