@@ -57,7 +57,7 @@ class Instances:
         first[cluster[::-1]] = rows[::-1]
         label[rows] = labels.label[first[body]]
         if metric:
-            level = voxels.centre[rows] * np.array([1, 1, 0], np.float32)  # a person is as high as a machine is wide
+            level = voxels.centre[rows, :2]  # in plan: a person is as high as a machine is wide
             small = extents(level, body, len(size)) < self.machine
             part = label[rows] == TaskClass.EXCAVATOR
             body[part] = self.assembled(voxels.centre[rows[part]], body[part], small, terrain.height[rows[part]])
@@ -127,9 +127,9 @@ class Instances:
         return number[body] if count else np.zeros(0, np.int32)
 
 
-def extents(xyz: Float32[np.ndarray, "n 3"], cluster: Int32[np.ndarray, "n"], count: int) -> Float64[np.ndarray, "c"]:
-    """Longest edge of the upright box of every cluster [m]."""
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, cluster, xyz)
-    np.maximum.at(high, cluster, xyz)
+def extents(xy: Float32[np.ndarray, "n 2"], cluster: Int32[np.ndarray, "n"], count: int) -> Float64[np.ndarray, "c"]:
+    """Longer edge of the level, axis-parallel box of every cluster [m]."""
+    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    np.minimum.at(low, cluster, xy)
+    np.maximum.at(high, cluster, xy)
     return (high - low).max(axis=1, initial=0)

@@ -30,7 +30,7 @@ def develop(
     light = smeared(radiance, conditions.motion_blur * length, angle)
     linear = np.clip(light * exposure * 2.0 ** (conditions.exposure_drift * stops), 0, None)
     grey = 255 * tone(linear)
-    # Shot noise grows with the root of the light; the tone curve's slope brings it to grey levels.
+    # About even in grey levels: shot noise grows with the root of the light, and the tone curve flattens that.
     noise = conditions.grain * rng.normal(0, 1, linear.shape).astype(np.float32)
     return np.clip(grey + noise, 0, 255).round().astype(np.uint8)
 
