@@ -18,6 +18,7 @@ import numpy as np
 
 from excavatwin.backbones.appearance import Appearance
 from excavatwin.backbones.photogrammetry import Photogrammetry
+from excavatwin.backbones.protocols import Picture
 from excavatwin.capture import find_photos
 from excavatwin.evaluation import evaluate_site, load_truth
 from excavatwin.exchange import load_observations, save_observations
@@ -61,7 +62,7 @@ def observe() -> Observations:
     views = []
     for view in observations.views:
         assert view.image is not None
-        seen = segment(view.image)
+        seen = segment(Picture(view.image))
         points = np.where(seen.no_surface[..., None], np.nan, view.points).astype(np.float32)
         views.append(replace(view, points=points, evidence=seen.evidence))
     return replace(observations, views=tuple(views))

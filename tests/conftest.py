@@ -17,6 +17,7 @@ CHECKED = (
     "mapper",
     "topology",
     "accumulation",
+    "contract",
     "exchange",
     "export",
     "datasets",

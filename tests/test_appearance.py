@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from excavatwin.backbones.appearance import Appearance
+from excavatwin.backbones.protocols import Picture
 from excavatwin.errors import InputError
 from excavatwin.scene.taxonomy import TaskClass
 
@@ -30,7 +31,7 @@ def ground(rgb: tuple[int, int, int], roughness: float, shape=(240, 320), grain:
 
 def best(image: np.ndarray, rows: slice = slice(20, -20), cols: slice = slice(20, -20)) -> tuple[int, float]:
     """Strongest channel of a region's mean evidence, and that mean."""
-    mean = Appearance()(image).evidence[rows, cols].mean((0, 1))
+    mean = Appearance()(Picture(image)).evidence[rows, cols].mean((0, 1))
     return int(mean.argmax()), float(mean.max())
 
 
@@ -52,7 +53,7 @@ def test_surfaces(rgb, roughness, expected):
 
 
 def test_turf_is_shared_between_ground_and_cover():
-    evidence = Appearance()(ground(TURF, 0.03)).evidence[20:-20, 20:-20].mean((0, 1))
+    evidence = Appearance()(Picture(ground(TURF, 0.03))).evidence[20:-20, 20:-20].mean((0, 1))
     assert evidence[OT] == pytest.approx(evidence[RC], abs=0.15)
     assert evidence[[OT, RC]].sum() > 0.8
 
@@ -62,7 +63,7 @@ def test_machine_on_soil():
     image[90:150, 120:200] = (225, 165, 30)
     image[100:130, 130:160] = (40, 45, 52)  # glass
     image[150:166, 115:205] = (52, 50, 50)  # track
-    evidence = Appearance()(image).evidence
+    evidence = Appearance()(Picture(image)).evidence
     assert evidence[95:145, 165:195, EX].mean() > 0.7
     assert evidence[152:164, 130:190, EX].mean() > 0.4
     assert evidence[:60, :, EX].mean() < 0.02
@@ -78,7 +79,7 @@ THINGS = [(185, 196, 208), (200, 40, 45), (40, 80, 190), (235, 120, 170), (60, 1
 def test_things_on_the_ground(colour, around):
     image = ground(around, 0.08)
     image[100:135, 140:190] = colour
-    evidence = Appearance()(image).evidence
+    evidence = Appearance()(Picture(image)).evidence
     assert evidence[104:131, 144:186, OB].mean() > 0.5
     assert evidence[:70, :, OB].mean() < 0.05
 
@@ -86,12 +87,12 @@ def test_things_on_the_ground(colour, around):
 def test_sky_and_water_are_abstained_on():
     photo = ground(CROWN, 0.4, grain=5)
     photo[:80] = np.linspace((250, 251, 255), (235, 241, 252), 80)[:, None]
-    result = Appearance()(photo)
+    result = Appearance()(Picture(photo))
     assert result.no_surface[:70].mean() > 0.98
     assert result.no_surface[100:].mean() < 0.01
     shore = ground(SOIL, 0.15)
     shore[120:] = ground((70, 84, 78), 0.004)[120:]
-    result = Appearance()(shore)
+    result = Appearance()(Picture(shore))
     assert result.no_surface[135:].mean() > 0.95
     assert result.no_surface[:110].mean() < 0.01
     assert not result.evidence[result.no_surface].any()
@@ -99,31 +100,31 @@ def test_sky_and_water_are_abstained_on():
 
 @pytest.mark.parametrize("colour", [SOIL, ASPHALT, TURF, (236, 232, 226)])
 def test_ground_that_fills_the_photo_is_neither_sky_nor_water(colour):
-    assert not Appearance()(ground(colour, 0.06)).no_surface.any()
+    assert not Appearance()(Picture(ground(colour, 0.06))).no_surface.any()
 
 
 def test_sky_detection_can_be_turned_off():
     photo = np.full((120, 160, 3), 255, np.uint8)
-    assert Appearance()(photo).no_surface.all()
-    assert not Appearance(sky=False)(photo).no_surface.any()
+    assert Appearance()(Picture(photo)).no_surface.all()
+    assert not Appearance(sky=False)(Picture(photo)).no_surface.any()
 
 
 def test_exposure_and_vignetting_keep_labels():
     image = ground(SOIL, 0.12)
     image[:, 200:] = ground(TURF, 0.05)[:, 200:]
     image[100:140, 60:110] = (185, 196, 208)
-    label = Appearance()(image).evidence.argmax(-1)
+    label = Appearance()(Picture(image)).evidence.argmax(-1)
     y, x = np.mgrid[-1:1:240j, -1:1:320j]
     vignette = 1 - 0.35 * (x**2 + y**2)[..., None]
     for other in (image * 0.55, image * vignette):
-        assert (Appearance()(other.astype(np.uint8)).evidence.argmax(-1) == label).mean() > 0.9
+        assert (Appearance()(Picture(other.astype(np.uint8))).evidence.argmax(-1) == label).mean() > 0.9
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 90), st.integers(1, 90), st.sampled_from([0, 30, 128]))
 def test_laws(seed, height, width, low):
     image = np.random.default_rng(seed).integers(low, 256, (height, width, 3)).astype(np.uint8)
-    first, second = Appearance()(image), Appearance()(image)
+    first, second = Appearance()(Picture(image)), Appearance()(Picture(image))
     assert first.evidence.shape == (height, width, 5)
     assert first.evidence.dtype == np.float32
     assert first.no_surface.shape == (height, width)
@@ -137,7 +138,7 @@ def test_laws(seed, height, width, low):
 
 def test_large_photos_are_worked_on_small_and_given_back_large():
     image = ground(SOIL, 0.1, (900, 1200), grain=8)
-    result = Appearance()(image)
+    result = Appearance()(Picture(image))
     assert result.evidence.shape == (900, 1200, 5)
     assert best(image)[0] == CT
 
@@ -145,7 +146,7 @@ def test_large_photos_are_worked_on_small_and_given_back_large():
 @pytest.mark.parametrize("image", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 4), np.uint8), np.zeros((4, 4, 3))])
 def test_other_arrays_are_refused(image):
     with pytest.raises(InputError, match="RGB image"):
-        Appearance()(image)
+        Appearance()(Picture(image))
 
 
 # Boxes (x0, y0, x1, y1) at 640 px long side, chosen by looking at the photos.
@@ -180,23 +181,23 @@ def real_photo(name: str) -> np.ndarray:
 @pytest.mark.parametrize(("name", "box", "channel", "what"), REAL)
 def test_real_photos(name, box, channel, what):
     x0, y0, x1, y1 = box
-    evidence = Appearance()(real_photo(name)).evidence[y0:y1, x0:x1]
+    evidence = Appearance()(Picture(real_photo(name))).evidence[y0:y1, x0:x1]
     assert evidence.mean((0, 1)).argmax() == channel, what
     assert (evidence.argmax(-1) == channel).mean() > 0.5, what
 
 
 def test_real_sky_and_water():
-    sky = Appearance()(real_photo("lewis_oblique/images/img_4234.jpg")).no_surface
+    sky = Appearance()(Picture(real_photo("lewis_oblique/images/img_4234.jpg"))).no_surface
     assert sky[5:30, 5:120].all()
     assert sky[100:].mean() == 0
-    road = Appearance()(real_photo("orfd_y0613/images/1623721491895.jpg")).no_surface
+    road = Appearance()(Picture(real_photo("orfd_y0613/images/1623721491895.jpg"))).no_surface
     assert road[5:90, 5:60].all()
     assert road[140:].mean() == 0
-    lake = Appearance()(real_photo("brighton_beach/images/DJI_0031.jpg")).no_surface
+    lake = Appearance()(Picture(real_photo("brighton_beach/images/DJI_0031.jpg"))).no_surface
     assert lake[280:340, 530:620].mean() > 0.9
     assert lake[:, :380].mean() == 0
 
 
 @pytest.mark.parametrize("number", [9400, 9404, 9407, 9414, 9420, 9430])
 def test_a_nadir_dig_site_has_neither_sky_nor_water(number):
-    assert Appearance()(real_photo(f"caliterra_site/images/IMG_{number}.jpg")).no_surface.mean() < 0.002
+    assert Appearance()(Picture(real_photo(f"caliterra_site/images/IMG_{number}.jpg"))).no_surface.mean() < 0.002

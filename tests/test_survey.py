@@ -82,10 +82,11 @@ class FakeAppearance:
     floor: float = 0.1
     fail_after: int = 10**6
 
-    def __call__(self, image: np.ndarray) -> Segmentation:
+    def __call__(self, picture: Picture) -> Segmentation:
         if CALLS["segment"] >= self.fail_after:
             raise KeyboardInterrupt
         CALLS["segment"] += 1
+        image = picture.image
         sky = np.zeros(image.shape[:2], bool)
         sky[0] = True
         return Segmentation(np.full((*image.shape[:2], 5), self.floor, np.float32), sky)

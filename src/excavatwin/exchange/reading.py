@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from excavatwin.errors import InputError, ObservationError
-from excavatwin.exchange.archive import Archive, read_archive
-from excavatwin.exchange.checks import (
+from excavatwin.contract.checks import (
     check_precision,
     checked_image,
     checked_intrinsics,
@@ -23,8 +21,10 @@ from excavatwin.exchange.checks import (
     checked_scale,
     checked_up,
 )
+from excavatwin.contract.reprojection import REFUSED, REPORTED, Reprojection, reprojection
+from excavatwin.errors import InputError, ObservationError
+from excavatwin.exchange.archive import Archive, read_archive
 from excavatwin.exchange.provenance import Provenance, parse_provenance
-from excavatwin.exchange.reprojection import REFUSED, REPORTED, Reprojection, reprojection
 from excavatwin.scene.observations import Observations, View
 from excavatwin.scene.taxonomy import K as CLASSES
 from excavatwin.vocabularies import Vocabulary, canonical, read_vocabulary, shipped_vocabularies

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import excavatwin
+from excavatwin.backbones.protocols import Picture
 from excavatwin.capture import Capture
 from excavatwin.errors import InputError
 from excavatwin.scene.observations import Observations, View
@@ -208,7 +209,7 @@ def _segment_view(view: View, model: Any, cache: StageCache, stage: str) -> tupl
     found = cache.load(stage, key, records.read_segmentation)
     hit = found is not None
     if found is None:
-        result = model(view.image)
+        result = model(Picture(view.image, view.name, view.lattice))
         found = result.evidence, result.no_surface
         evidence, no_surface = found
         cache.store(stage, key, lambda part: records.write_segmentation(evidence, no_surface, part), keep=None)

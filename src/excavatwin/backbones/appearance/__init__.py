@@ -1,5 +1,5 @@
 """Segmenter "appearance": training-free evidence for the task classes from colour and texture, without weights."""
 
-from excavatwin.backbones.appearance.segmenter import Appearance, Segmentation
+from excavatwin.backbones.appearance.segmenter import Appearance
 
-__all__ = ["Appearance", "Segmentation"]
+__all__ = ["Appearance"]

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Float32
 
+import excavatwin
+from excavatwin.backbones.cards import Card, Tried
+from excavatwin.backbones.protocols import Picture, Segmentation
 from excavatwin.errors import InputError
 from excavatwin.scene.taxonomy import K, TaskClass
 
 if TYPE_CHECKING:
     from excavatwin.backbones.appearance.cues import Cues
-
-
-@dataclass(frozen=True)
-class Segmentation:
-    """What a segmenter says about one photo."""
-
-    evidence: Float32[np.ndarray, "H W K"]
-    """o_s: evidence for the task classes 1..5, each in [0, 1], their sum at most 1; what is missing is doubt."""
-    no_surface: Bool[np.ndarray, "H W"]
-    """Sky or water: no solid surface can be reconstructed here, whatever a matcher finds."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +34,13 @@ class Appearance:
     matter little. Thresholds were set by eye on photos of seven public sets (nadir and oblique, overcast and sunny).
     """
 
+    card: ClassVar[Card] = Card(
+        name="appearance",
+        kind="segmenter",
+        summary="colour, texture and vegetation indices; without weights, knows materials but not things",
+        tried=Tried.BUILT_IN,
+    )
+
     work_side: int = 640
     """Long side at which the cues are computed; larger photos are shrunk, evidence is interpolated back [px]."""
     green: tuple[float, float] = (0.022, 0.055)
@@ -58,7 +58,11 @@ class Appearance:
     sky: bool = True
     """Look for sky and water. Without it nothing is abstained on."""
 
-    def __call__(self, image: UInt8[np.ndarray, "H W 3"]) -> Segmentation:
+    def identity(self) -> str:
+        """The version of ExcavaTwin: there is nothing else."""
+        return excavatwin.__version__
+
+    def __call__(self, picture: Picture) -> Segmentation:
         """Evidence (H, W, 5) in id order 1..5 and the no-surface mask (H, W) of an sRGB photo.
 
         Raises:
@@ -67,6 +71,7 @@ class Appearance:
         from excavatwin.backbones.appearance.cues import observe, resized
         from excavatwin.backbones.appearance.surfaceless import find_sky, find_water
 
+        image = picture.image
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
             raise InputError(f"the segmenter needs an RGB image (H, W, 3) uint8, not {image.shape} {image.dtype}.")
         height, width = image.shape[:2]

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
+from excavatwin.backbones.cards import Card, Tried
 from excavatwin.backbones.photogrammetry.dense import Dense
 from excavatwin.backbones.photogrammetry.placement import Placement
 from excavatwin.backbones.photogrammetry.placing import Placing
@@ -24,6 +26,15 @@ __all__ = ["Dense", "Photogrammetry", "Placement", "Placing"]
 class Photogrammetry:
     """The built-in reconstructor: for every photo a world point map, its confidence, pose and intrinsics."""
 
+    card: ClassVar[Card] = Card(
+        name="photogrammetry",
+        kind="reconstructor",
+        summary="structure from motion and dense stereo on the CPU, without weights; metric with GPS or a length",
+        tried=Tried.BUILT_IN,
+        modules=("pycolmap", "cv2"),
+        install="pip install --upgrade excavatwin",
+    )
+
     placing: Placing = field(default_factory=Placing)
     """How the photos are placed."""
     lattice: int = 640
@@ -31,8 +42,16 @@ class Photogrammetry:
     dense: Dense = field(default_factory=Dense)
     """How depth is found."""
 
-    def __call__(self, photos: Sequence[Photo], progress: Progress = silent) -> Observations:
-        """Place the photos, then find their depth: ``place`` and ``densify`` in one."""
+    def identity(self) -> str:
+        """Versions of the libraries."""
+        from excavatwin.backbones.extras import versions
+
+        return versions(self.card)
+
+    def __call__(
+        self, photos: Sequence[Photo], progress: Progress = silent, scratch: Path | None = None
+    ) -> Observations:
+        """Place the photos, then find their depth: ``place`` and ``densify`` in one; ``scratch`` is not needed."""
         return self.densify(self.place(photos, progress), photos, progress)
 
     def place(self, photos: Sequence[Photo], progress: Progress = silent) -> Placement:

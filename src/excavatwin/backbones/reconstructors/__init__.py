@@ -1,0 +1,1 @@
+"""One file per reconstructor: networks, and readers of finished reconstructions. Imported only when used."""

@@ -1,0 +1,1 @@
+"""Long sequences on small memory: choose views, reconstruct overlapping chunks, align them, close loops."""
