@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = [n for n in dataset.names if not chosen.sequences or n.split("/")[0] in chosen.sequences]
     if not names:
         parser.error(f"none of {', '.join(chosen.sequences)} in {chosen.folder}; it holds {', '.join(dataset.names)}")
-    plan = replace(Plan(), photogrammetry=Photogrammetry(lattice=chosen.lattice))
+    plan = replace(Plan(), reconstructor=Photogrammetry(lattice=chosen.lattice))
     rows, objects = {}, {}
     with tempfile.TemporaryDirectory() as scratch:
         for name in names:

@@ -17,8 +17,9 @@ from PIL import Image
 import excavatwin
 from excavatwin.cli import main
 from excavatwin.cli.flags import merge, split_stage_flags
+from excavatwin.cli.plans import backbone_tables, read_plan, to_toml
 from excavatwin.cli.references import format_reference, parse_reference
-from excavatwin.cli.settings import configure, parameters, to_toml
+from excavatwin.cli.settings import parameters
 from excavatwin.errors import InputError
 from excavatwin.scene.elevation_map import LAYERS
 from excavatwin.survey.plan import Plan
@@ -127,10 +128,15 @@ def test_config_prints_toml_that_config_takes_back(tmp_path: Path) -> None:
 # --- parameters -----------------------------------------------------------------------------------------------------
 
 
-def test_every_parameter_has_a_meaning_and_survives_toml() -> None:
+def test_every_parameter_has_a_meaning_and_survives_toml(tmp_path: Path) -> None:
     plan = Plan()
-    assert [p.path for p in parameters(plan) if not p.meaning] == []
-    assert configure(plan, tomllib.loads(to_toml(plan))) == plan
+    rooms = [plan.video, plan.merging, plan.mapper, *backbone_tables(plan).values()]
+    assert [p.path for room in rooms for p in parameters(room) if not p.meaning] == []
+    file = tmp_path / "settings.toml"
+    file.write_text(to_toml(plan))
+    assert read_plan(file, None) == plan
+    file.write_text(file.read_text().replace("tau = 0.", "tau = 0.1"))
+    assert read_plan(file, None) != plan
 
 
 def test_flags_win_over_the_file() -> None:

@@ -11,12 +11,15 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from excavatwin.backbones.cards import Card, Tried
+from excavatwin.backbones.merging import Merging
+from excavatwin.backbones.protocols import Picture, Segmentation
 from excavatwin.errors import InputError, OutputError
 from excavatwin.geometry.scale import Reference, Scale
 from excavatwin.scene.elevation_map import LAYERS, ElevationMap
@@ -30,12 +33,6 @@ from excavatwin.survey.checks import check_target
 from excavatwin.survey.pipeline import map_photos
 
 CALLS: Counter[str] = Counter()
-
-
-@dataclass(frozen=True)
-class Segmentation:
-    evidence: np.ndarray
-    no_surface: np.ndarray
 
 
 def small_view(name: str, shade: int = 7) -> View:
@@ -54,12 +51,16 @@ def small_view(name: str, shade: int = 7) -> View:
 
 @dataclass(frozen=True)
 class FakePhotogrammetry:
+    card: ClassVar[Card] = Card("fake-poses", "reconstructor", "two steps", Tried.BUILT_IN)
     features: int = 100
     lattice: int = 8
 
     @property
     def placing(self) -> Any:
         return self.features
+
+    def identity(self) -> str:
+        return "1"
 
     def place(self, photos: Any, progress: Any) -> list[str]:
         CALLS["place"] += 1
@@ -79,8 +80,12 @@ class FakePhotogrammetry:
 
 @dataclass(frozen=True)
 class FakeAppearance:
+    card: ClassVar[Card] = Card("fake-classes", "segmenter", "one row of sky", Tried.BUILT_IN)
     floor: float = 0.1
     fail_after: int = 10**6
+
+    def identity(self) -> str:
+        return "1"
 
     def __call__(self, picture: Picture) -> Segmentation:
         if CALLS["segment"] >= self.fail_after:
@@ -110,8 +115,9 @@ class FakeMapper:
 @dataclass(frozen=True)
 class FakePlan:
     video: int = 0
-    photogrammetry: FakePhotogrammetry = field(default_factory=FakePhotogrammetry)
-    appearance: FakeAppearance = field(default_factory=FakeAppearance)
+    reconstructor: Any = field(default_factory=FakePhotogrammetry)
+    segmenters: Any = field(default_factory=lambda: {"fake": FakeAppearance()})
+    merging: Merging = field(default_factory=Merging)
     mapper: FakeMapper = field(default_factory=FakeMapper)
 
 
@@ -158,9 +164,9 @@ def test_cached_result_equals_the_first_one(photos: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "again"),
     [
-        ({"photogrammetry": FakePhotogrammetry(features=50)}, {"place": 1, "densify": 1}),
-        ({"photogrammetry": FakePhotogrammetry(lattice=4)}, {"densify": 1}),
-        ({"appearance": FakeAppearance(floor=0.2)}, {"segment": 3}),
+        ({"reconstructor": FakePhotogrammetry(features=50)}, {"place": 1, "densify": 1}),
+        ({"reconstructor": FakePhotogrammetry(lattice=4)}, {"densify": 1}),
+        ({"segmenters": {"fake": FakeAppearance(floor=0.2)}}, {"segment": 3}),
         ({}, {}),
     ],
 )
@@ -183,10 +189,10 @@ def test_changed_photo_is_noticed(photos: Path) -> None:
 
 def test_interrupted_segmentation_resumes_per_photo(photos: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        run(photos, FakePlan(appearance=FakeAppearance(fail_after=2)))
+        run(photos, FakePlan(segmenters={"fake": FakeAppearance(fail_after=2)}))
     # fail_after is a parameter, so give it back unchanged in spirit: the same plan, no longer failing
     CALLS["segment"] = -100
-    run(photos, FakePlan(appearance=FakeAppearance(fail_after=2)))
+    run(photos, FakePlan(segmenters={"fake": FakeAppearance(fail_after=2)}))
     assert CALLS["segment"] == -99
     assert CALLS["densify"] == 1
 

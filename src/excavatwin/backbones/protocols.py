@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
@@ -41,6 +41,8 @@ class Segmentation:
     """o_s: evidence for the task classes 1..5, each in [0, 1], their sum at most 1; what is missing is doubt."""
     no_surface: Bool[np.ndarray, "H W"]
     """Sky or water: no solid surface can be reconstructed here, whatever a matcher finds."""
+    doubts: tuple[str, ...] = ()
+    """What the user should know, without the photo's name: equal sentences of several photos are counted."""
 
 
 class Backbone(Protocol):
@@ -76,4 +78,30 @@ class Reconstructor(Backbone, Protocol):
             scratch: an existing empty folder that outlives the observations: views of long sequences may be
                 memory-mapped files in it.
         """
+        ...
+
+
+@runtime_checkable
+class StagedReconstructor(Protocol):
+    """A reconstructor in two steps, each of which is kept: new parameters of the second do not repeat the first."""
+
+    @property
+    def placing(self) -> Any:
+        """Parameters on which the first step depends."""
+        ...
+
+    def place(self, photos: Sequence[Photo], progress: Progress) -> Any:
+        """Poses, lens, vertical and scale."""
+        ...
+
+    def densify(self, placement: Any, photos: Sequence[Photo], progress: Progress) -> Observations:
+        """A world point for every pixel."""
+        ...
+
+    def save_placement(self, placement: Any, folder: Path) -> object:
+        """Write the result of the first step into an existing folder."""
+        ...
+
+    def load_placement(self, folder: Path) -> Any:
+        """Read what ``save_placement`` wrote."""
         ...

@@ -120,7 +120,7 @@ def read_mapper(config: Path | None, changes: Mapping[str, Any] | None, command:
     Raises:
         InputError: the file cannot be read, or names or values do not fit.
     """
-    from excavatwin.cli.mapping import read_plan
+    from excavatwin.cli.plans import read_plan
     from excavatwin.errors import InputError
 
     unused = [name for name in changes or {} if name != "mapper"]

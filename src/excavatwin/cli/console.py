@@ -6,7 +6,7 @@ import re
 import sys
 import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -84,6 +84,19 @@ def shown_progress() -> Iterator[Progress]:
         progress = Bars(bars)
         yield progress
         progress.finish()
+
+
+def consent(download: bool) -> Callable[[str], bool]:
+    """Who answers when weights would have to be downloaded: the flag, a person at a terminal, or nobody (no)."""
+
+    def ask(question: str) -> bool:
+        if download or not (sys.stdin.isatty() and sys.stderr.isatty()):
+            print(question if not download else question.rstrip("?") + ": yes (--download)", file=sys.stderr)
+            return download
+        print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+    return ask
 
 
 def say(*lines: str) -> None:

@@ -39,7 +39,7 @@ def demo_command(
         Forget the finished stages of earlier runs.
     """
     from excavatwin.cli.console import say, shown_progress
-    from excavatwin.cli.mapping import read_plan
+    from excavatwin.cli.plans import read_plan
     from excavatwin.cli.summary import say_result
     from excavatwin.evaluation import evaluate_site, load_truth
     from excavatwin.survey import map_photos

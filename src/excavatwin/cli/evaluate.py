@@ -66,8 +66,8 @@ def evaluate_command(
         TOML file with stage parameters for sites that have to be mapped; flags win over it.
     """
     from excavatwin.cli.console import say, shown_progress
-    from excavatwin.cli.mapping import read_plan
     from excavatwin.cli.metric_report import report
+    from excavatwin.cli.plans import read_plan
     from excavatwin.cli.values import check_seed
     from excavatwin.errors import InputError
     from excavatwin.evaluation.scores import check_places, write_scores

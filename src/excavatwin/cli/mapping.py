@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-if TYPE_CHECKING:
-    from excavatwin.survey.plan import Plan
+from excavatwin.cli.plans import Choice, MapFlag, ReconstructorFlag, SegmenterFlag, read_plan
 
 Site = Annotated[Path, Parameter(name=["--output", "-o"])]
 Reference = Annotated[list[str] | None, Parameter(name="--reference", negative="")]
@@ -22,8 +21,12 @@ def map_command(
     /,
     *,
     site: Site,
+    reconstructor: ReconstructorFlag = None,
+    segmenter: SegmenterFlag = None,
+    remap: MapFlag = None,
     reference: Reference = None,
     config: Config = None,
+    download: Annotated[bool, Parameter(negative="")] = False,
     fresh: Annotated[bool, Parameter(negative="")] = False,
     changes: Changes = None,
 ) -> None:
@@ -35,23 +38,40 @@ def map_command(
         Folder of photos, or a video file.
     site
         SITE folder for the results; an earlier SITE there is replaced.
+    reconstructor
+        Who finds geometry: NAME, or NAME:VALUE with weights or the folder of a finished reconstruction;
+        `excavatwin backbones` lists all. Default: photogrammetry.
+    segmenter
+        Who tells what pixels are: NAME, or NAME:VALUE. Repeatable: their evidence is merged. Default: appearance.
+    remap
+        "CLASS=TASK_CLASS": count a class of the segmenter as another task class, or as nothing. Repeatable.
     reference
         A known distance, "PHOTO:x1,y1:x2,y2=METRES": two pixels of a photo and the metres between them. Repeatable.
     config
         TOML file with stage parameters; flags win over it.
+    download
+        Fetch missing weights from the hub; without it nothing is downloaded unless you say yes when asked.
     fresh
         Forget the finished stages of earlier runs.
     """
-    from excavatwin.cli.console import shown_progress
+    from excavatwin.cli.console import consent, shown_progress
     from excavatwin.cli.summary import say_result
     from excavatwin.survey import map_photos
 
-    plan = read_plan(config, changes)
+    plan = read_plan(config, changes, Choice(reconstructor, segmenter, remap))
     with shown_progress() as progress:
         result = map_photos(
-            photos, site, plan=plan, references=parse_references(reference), progress=progress, fresh=fresh
+            photos,
+            site,
+            plan=plan,
+            references=parse_references(reference),
+            progress=progress,
+            fresh=fresh,
+            consent=consent(download),
         )
-    say_result(result, site, f"excavatwin map {photos} -o {site}")
+    words = [f"--reconstructor {reconstructor}"] if reconstructor else []
+    words += [f"--segmenter {one}" for one in segmenter or ()] + [f'--map "{one}"' for one in remap or ()]
+    say_result(result, site, " ".join(["excavatwin map", str(photos), "-o", str(site), *words]))
 
 
 def fuse_command(
@@ -110,28 +130,3 @@ def parse_references(texts: list[str] | None) -> tuple[Any, ...]:
     from excavatwin.cli.references import parse_reference
 
     return tuple(parse_reference(text) for text in texts or ())
-
-
-def read_plan(config: Path | None, changes: Mapping[str, Any] | None) -> Plan:
-    """The default plan, changed by a TOML file, changed by flags.
-
-    Raises:
-        InputError: the file cannot be read, or names or values do not fit.
-    """
-    import tomllib
-
-    from excavatwin.cli.flags import merge
-    from excavatwin.cli.settings import configure
-    from excavatwin.errors import InputError
-    from excavatwin.survey.plan import Plan
-
-    table: dict[str, Any] = {}
-    if config is not None:
-        try:
-            table = tomllib.loads(config.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"--config {config} cannot be read ({error.strerror}).") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"--config {config} is not valid TOML: {error}.") from None
-    plan: Plan = configure(Plan(), merge(table, dict(changes or {})))
-    return plan

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from excavatwin.cli.mapping import Changes, Config
+from excavatwin.cli.plans import ReconstructorFlag, SegmenterFlag
 
 
 def layers_command() -> None:
@@ -26,16 +27,25 @@ def layers_command() -> None:
     say(*lines)
 
 
-def config_command(*, config: Config = None, changes: Changes = None) -> None:
+def config_command(
+    *,
+    reconstructor: ReconstructorFlag = None,
+    segmenter: SegmenterFlag = None,
+    config: Config = None,
+    changes: Changes = None,
+) -> None:
     """Every parameter of every stage with its meaning, as TOML that --config takes back.
 
     Parameters
     ----------
+    reconstructor
+        Show the parameters of this reconstructor; `excavatwin backbones` lists all.
+    segmenter
+        Show the parameters of this segmenter; repeat it for an ensemble.
     config
         TOML file with stage parameters to start from.
     """
     from excavatwin.cli.console import say
-    from excavatwin.cli.mapping import read_plan
-    from excavatwin.cli.settings import to_toml
+    from excavatwin.cli.plans import Choice, read_plan, to_toml
 
-    say(to_toml(read_plan(config, changes)).rstrip())
+    say(to_toml(read_plan(config, changes, Choice(reconstructor, segmenter))).rstrip())

@@ -121,11 +121,11 @@ def _unknown(stage: Any, path: tuple[str, ...], names: Sequence[str]) -> str:
     return f"there is no parameter {'.'.join(path)}; {hint}"
 
 
-def to_toml(plan: Any) -> str:
-    """The plan as TOML with the meaning above each parameter; ``configure(plan, tomllib.loads(text)) == plan``."""
+def to_toml(rooms: Mapping[str, Any]) -> str:
+    """Stages by name as TOML with the meaning above each parameter; ``configure`` takes the tables back."""
     lines: list[str] = []
     table: tuple[str, ...] = ()
-    for parameter in parameters(plan):
+    for parameter in itertools.chain.from_iterable(parameters(stage, (name,)) for name, stage in rooms.items()):
         if parameter.path[:-1] != table:
             table = parameter.path[:-1]
             lines += ["", f"[{'.'.join(table)}]"]

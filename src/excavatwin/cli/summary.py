@@ -37,7 +37,8 @@ def say_result(site: Site, folder: Path, command: str) -> None:
         folder: where it was written.
         command: the command that was run, as a start for the next one.
     """
-    say(*headline(site), "", *table(site), *_doubts(site), "", *files(folder), "", *_next(site, folder, command))
+    facts = (*headline(site), "", *table(site), *_doubts(site), *_terms(site))
+    say(*facts, "", *files(folder), "", *_next(site, folder, command))
 
 
 def headline(site: Site) -> list[str]:
@@ -119,6 +120,11 @@ def _stages(stages: dict[str, dict[str, Any]]) -> list[str]:
 def _doubts(site: Site) -> list[str]:
     warnings = site.run.get("warnings", [])
     return ["", "Doubts:", *(line for text in warnings for line in wrapped("  ! ", text))] if warnings else []
+
+
+def _terms(site: Site) -> list[str]:
+    terms = site.run.get("terms", [])
+    return ["", "Terms:", *(line for text in terms for line in wrapped("  ! ", text))] if terms else []
 
 
 def files(folder: Path) -> list[str]:

@@ -21,6 +21,11 @@ def estimate(photos: int, lattice: int = 640, aspect: float = 0.75) -> float:
     return _FLOOR + _WORKING * pixels / (640 * 480) + photos * pixels * _PER_PIXEL
 
 
+def lattice_of(reconstructor: object) -> int:
+    """Longer side of the lattice on which a reconstructor works, where it is a parameter; else that of the default."""
+    return int(getattr(reconstructor, "lattice", 640))
+
+
 def check(photos: int, lattice: int, aspect: float) -> tuple[str, ...]:
     """A warning where memory is short; a refusal where it cannot do.
 
@@ -30,7 +35,7 @@ def check(photos: int, lattice: int, aspect: float) -> tuple[str, ...]:
     need, free = estimate(photos, lattice, aspect), available()
     if free is None or need <= free:
         return ()
-    advice = "map fewer photos at a time, or give a smaller --photogrammetry.lattice"
+    advice = "map fewer photos at a time, or use a smaller lattice (--photogrammetry.lattice)"
     figures = f"{photos} photos need about {need / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB are available"
     if need > 1.5 * free:
         raise InputError(f"{figures}; {advice}.")

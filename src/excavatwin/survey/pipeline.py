@@ -1,4 +1,4 @@
-"""Photos or observations -> SITE: capture, place, densify, segment, fuse, export, each finished stage remembered."""
+"""Photos or observations -> SITE: capture, reconstruct, segment, fuse, export, each finished stage remembered."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 import excavatwin
-from excavatwin.backbones.protocols import Picture
+from excavatwin.backbones.weights import Consent, refuse
 from excavatwin.capture import Capture
-from excavatwin.errors import InputError
-from excavatwin.scene.observations import Observations, View
-from excavatwin.scene.photo import Photo
+from excavatwin.scene.observations import Observations
 from excavatwin.scene.progress import Progress, silent
 from excavatwin.scene.site import Site
 from excavatwin.survey import fingerprint, memory, records
 from excavatwin.survey.cache import StageCache, cache_folder, opened
 from excavatwin.survey.checks import check_references, check_target
 from excavatwin.survey.journal import Journal
+from excavatwin.survey.observing import Workplace, observe
+from excavatwin.survey.readiness import make_ready
+from excavatwin.survey.segmenting import segment
 
 if TYPE_CHECKING:
     from excavatwin.geometry.scale import Reference
@@ -35,6 +34,7 @@ def map_photos(
     references: Sequence[Reference] = (),
     progress: Progress = silent,
     fresh: bool = False,
+    consent: Consent = refuse,
 ) -> Site:
     """Map a folder of photos, or a video, and write the SITE folder.
 
@@ -48,9 +48,11 @@ def map_photos(
         references: known distances between two pixels of a photo [m].
         progress: told which stage is at work.
         fresh: forget all cached stages first.
+        consent: asked before weights are downloaded; by default nothing is ever downloaded.
 
     Raises:
-        InputError: the photos, the video or a parameter cannot be used.
+        MissingExtraError: the library of a chosen backbone is not installed.
+        InputError: the photos, the video or a parameter cannot be used, or weights are not on this machine.
         ReconstructionError: no trustworthy geometry came out of the photos.
         OutputError: the SITE cannot be written.
     """
@@ -58,19 +60,21 @@ def map_photos(
     plan = _plan(plan, references)
     check_target(folder)
     journal = Journal()
+    terms = make_ready((plan.reconstructor, *plan.segmenters.values()), consent)
     with opened(cache_folder(folder)) as cache:
         if fresh:
             cache.clear()
         found = _capture(source, plan, cache, journal, progress)
         check_references(plan.mapper.scale.references, found.photos)
         flattest = max(min(photo.width, photo.height) / max(photo.width, photo.height) for photo in found.photos)
-        journal.note(*memory.check(len(found.photos), plan.photogrammetry.lattice, flattest))
+        journal.note(*memory.check(len(found.photos), memory.lattice_of(plan.reconstructor), flattest))
         hashes = fingerprint.of_files([photo.path for photo in found.photos], progress)
-        obs = _observe(found.photos, hashes, plan, cache, journal, progress)
+        at = Workplace(cache, journal, progress)
+        obs = observe(plan.reconstructor, found.photos, hashes, at)
         obs = replace(obs, unplaced=(*found.skipped, *obs.unplaced))
-        obs = _segment(obs, plan, cache, journal, progress)
+        obs = segment(obs, found.photos, plan.segmenters, plan.merging, at)
         journal.note(*cache.notes)
-        facts = {"input": {"source": str(source), "files": hashes}, "config": fingerprint.plain(plan)}
+        facts = {"input": {"source": str(source), "files": hashes}, "config": fingerprint.plain(plan), "terms": terms}
         return _fuse(obs, folder, plan, journal, progress, facts)
 
 
@@ -150,73 +154,6 @@ def _capture(source: Path, plan: Plan, cache: StageCache, journal: Journal, prog
             found = cached or records.read_capture(cache.store("capture", key, write))
         row["photos"] = len(found.photos)
     return found
-
-
-def _observe(
-    photos: Sequence[Photo], hashes: dict[str, str], plan: Plan, cache: StageCache, journal: Journal, progress: Progress
-) -> Observations:
-    """Poses, then dense depth; observations with evidence still all zero."""
-    model = plan.photogrammetry
-    code = fingerprint.of_code("excavatwin.capture", type(model).__module__)
-    inputs = [excavatwin.__version__, code, [(photo.name, hashes[photo.name]) for photo in photos]]
-    loops = fingerprint.of_code("excavatwin.kernels")
-    place_key, dense_key = fingerprint.key(inputs, model.placing), fingerprint.key(inputs, model, loops)
-    obs = cache.load("densify", dense_key, records.read_observations)
-    with journal.stage("place") as row:
-        placement = None if obs else cache.load("place", place_key, model.load_placement)
-        row["cached"] = bool(obs or placement)
-        if not row["cached"]:
-            placement = model.place(photos, progress)
-            fresh = placement
-            cache.store("place", place_key, lambda part: model.save_placement(fresh, part))
-    with journal.stage("densify") as row:
-        row["cached"] = obs is not None
-        if obs is None:
-            assert placement is not None
-            dense = model.densify(placement, photos, progress)
-            cache.store("densify", dense_key, lambda part: records.write_observations(dense, part))
-            obs = dense
-        row["placed"] = len(obs.views)
-    return obs
-
-
-def _segment(obs: Observations, plan: Plan, cache: StageCache, journal: Journal, progress: Progress) -> Observations:
-    """Evidence for every view, cached photo by photo; sky and water lose their points."""
-    model = plan.appearance
-    code = fingerprint.of_code(type(model).__module__)
-    stage = f"segment/{fingerprint.key(excavatwin.__version__, code, model)}"
-    views = []
-    with journal.stage("segment") as row:
-        row["cached"] = 0
-        for done, view in enumerate(obs.views):
-            progress("segment", done, len(obs.views))
-            segmented, hit = _segment_view(view, model, cache, stage)
-            views.append(segmented)
-            row["cached"] += hit
-        progress("segment", len(obs.views), len(obs.views))
-        row["photos"] = len(views)
-        cache.prune("segment")
-    source = {**obs.source, "segmenter": type(model).__name__.lower()}
-    return replace(obs, views=tuple(views), source=source)
-
-
-def _segment_view(view: View, model: Any, cache: StageCache, stage: str) -> tuple[View, bool]:
-    if view.image is None:
-        raise InputError(
-            f"view {view.name} has no image to segment; give observations with evidence to `fuse` instead."
-        )
-    key = fingerprint.of_array(view.image)
-    found = cache.load(stage, key, records.read_segmentation)
-    hit = found is not None
-    if found is None:
-        result = model(Picture(view.image, view.name, view.lattice))
-        found = result.evidence, result.no_surface
-        evidence, no_surface = found
-        cache.store(stage, key, lambda part: records.write_segmentation(evidence, no_surface, part), keep=None)
-    evidence, no_surface = found
-    points = np.where(no_surface[..., None], np.float32(np.nan), view.points)
-    confidence = np.where(no_surface, np.float32(0), view.confidence)
-    return replace(view, points=points, confidence=confidence, evidence=evidence), hit
 
 
 def _fuse(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from excavatwin.backbones.appearance import Appearance
+from excavatwin.backbones.merging import Merging
 from excavatwin.backbones.photogrammetry import Photogrammetry
+from excavatwin.backbones.protocols import Reconstructor, Segmenter
 from excavatwin.capture import VideoSampling
 from excavatwin.mapper import Mapper
 
@@ -16,9 +19,11 @@ class Plan:
 
     video: VideoSampling = field(default_factory=VideoSampling)
     """How photos are chosen from a video; a folder of photos is taken as it is."""
-    photogrammetry: Photogrammetry = field(default_factory=Photogrammetry)
-    """Reconstructor: camera poses, then dense depth for every photo."""
-    appearance: Appearance = field(default_factory=Appearance)
-    """Segmenter: evidence for the task classes from colour and texture."""
+    reconstructor: Reconstructor = field(default_factory=Photogrammetry)
+    """Camera poses and a world point for every pixel."""
+    segmenters: Mapping[str, Segmenter] = field(default_factory=lambda: {"appearance": Appearance()})
+    """Evidence for the task classes, by the name under which each one's parameters are set."""
+    merging: Merging = field(default_factory=Merging)
+    """How the evidence of several segmenters becomes one."""
     mapper: Mapper = field(default_factory=Mapper)
     """The method: geometry, semantics and projection to the grid."""

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
 
+from excavatwin.backbones.protocols import Segmentation
 from excavatwin.capture import Capture
 from excavatwin.scene.observations import Georeference, Lattice, Observations, Unplaced, View
 from excavatwin.scene.photo import Gimbal, GpsFix, Photo
@@ -50,7 +50,12 @@ def write_observations(obs: Observations, folder: Path) -> None:
         "source": dict(obs.source),
     }
     for index, view in enumerate(obs.views):
-        arrays: dict[str, Any] = {"points": view.points, "confidence": view.confidence}
+        arrays: dict[str, Any] = {}
+        for name, layer in (("points", view.points), ("confidence", view.confidence)):
+            if isinstance(layer, np.memmap):  # of a long sequence: it stays on disk
+                np.save(folder / f"{index:04d}.{name}.npy", layer)
+            else:
+                arrays[name] = layer
         arrays |= {"T_R_cam": view.T_R_cam, "K_cam": view.K_cam}
         if view.evidence.any():
             arrays["evidence"] = view.evidence
@@ -84,6 +89,8 @@ def read_observations(folder: Path) -> Observations:
 def _read_view(path: Path, name: str) -> View:
     with path.open("rb") as raw, np.load(raw) as file:  # numpy leaks the handle of a broken archive
         a = {key: file[key] for key in file.files}
+    for name in {"points", "confidence"} - a.keys():
+        a[name] = np.load(path.with_name(f"{path.stem}.{name}.npy"), mmap_mode="r")
     lattice = None
     if "affine" in a:
         k1, k2, p1, p2 = (float(value) for value in a["distortion"])
@@ -102,16 +109,16 @@ def _read_view(path: Path, name: str) -> View:
     )
 
 
-def write_segmentation(
-    evidence: Float32[np.ndarray, "H W K"], no_surface: Bool[np.ndarray, "H W"], folder: Path
-) -> None:
+def write_segmentation(seen: Segmentation, folder: Path) -> None:
     """One photo's semantic evidence and the pixels that show no surface at all."""
-    np.savez(folder / "segmentation.npz", evidence=evidence, no_surface=np.packbits(no_surface))
+    np.savez(folder / "segmentation.npz", evidence=seen.evidence, no_surface=np.packbits(seen.no_surface))
+    (folder / "doubts.json").write_text(json.dumps(seen.doubts))
 
 
-def read_segmentation(folder: Path) -> tuple[Float32[np.ndarray, "H W K"], Bool[np.ndarray, "H W"]]:
+def read_segmentation(folder: Path) -> Segmentation:
     """What ``write_segmentation`` wrote."""
     with (folder / "segmentation.npz").open("rb") as raw, np.load(raw) as file:
         evidence, packed = file["evidence"], file["no_surface"]
-    bits: UInt8[np.ndarray, "n"] = np.unpackbits(packed, count=evidence.shape[0] * evidence.shape[1])
-    return evidence, bits.reshape(evidence.shape[:2]).astype(bool)
+    bits = np.unpackbits(packed, count=evidence.shape[0] * evidence.shape[1])
+    doubts = json.loads((folder / "doubts.json").read_text())
+    return Segmentation(evidence, bits.reshape(evidence.shape[:2]).astype(bool), tuple(doubts))

@@ -1,0 +1,83 @@
+"""Evidence for every view from one segmenter or several, kept view by view: a stopped run goes on where it was."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import excavatwin
+from excavatwin.backbones.merging import Merging
+from excavatwin.backbones.protocols import Picture, Segmentation, Segmenter
+from excavatwin.errors import InputError
+from excavatwin.scene.observations import Observations, View
+from excavatwin.scene.photo import Photo
+from excavatwin.survey import fingerprint, records
+from excavatwin.survey.cache import StageCache
+from excavatwin.survey.observing import Workplace
+
+
+def segment(
+    obs: Observations,
+    photos: Sequence[Photo],
+    segmenters: Mapping[str, Segmenter],
+    merging: Merging,
+    at: Workplace,
+) -> Observations:
+    """The observations with evidence; sky and water lose their points."""
+    stages = {name: _stage(model) for name, model in segmenters.items()}
+    paths = {photo.name: photo.path for photo in photos}
+    views: list[View] = []
+    total = len(obs.views) * len(segmenters)
+    doubts: Counter[str] = Counter()
+    with at.journal.stage("segment") as row:
+        row["cached"] = 0
+        for view in obs.views:
+            seen: dict[str, Segmentation] = {}
+            for name, model in segmenters.items():
+                at.progress("segment", len(views) * len(segmenters) + len(seen), total)
+                seen[name], hit = _one(_picture(view, paths), model, at.cache, stages[name])
+                row["cached"] += hit
+                doubts.update(f"Segmenter {name}: {sentence}" for sentence in seen[name].doubts)
+            views.append(_given(view, merging(seen)))
+        at.progress("segment", total, total)
+        row["photos"] = total
+        at.cache.prune("segment", 2 * len(segmenters))
+    at.journal.note(*(f"{text} ({n} of {len(views)} photos)" for text, n in sorted(doubts.items())))
+    source = obs.source | {"segmenter": " + ".join(segmenters)}
+    return replace(obs, views=tuple(views), source=source)
+
+
+def _stage(model: Segmenter) -> str:
+    code = fingerprint.of_code(type(model).__module__)
+    return f"segment/{fingerprint.key(excavatwin.__version__, code, model.identity(), model)}"
+
+
+def _picture(view: View, paths: Mapping[str, Path]) -> Picture:
+    if view.image is None:
+        raise InputError(
+            f"view {view.name} has no image to segment; give observations with evidence to `fuse` instead."
+        )
+    return Picture(view.image, view.name, view.lattice, paths.get(view.name))
+
+
+def _one(picture: Picture, model: Segmenter, cache: StageCache, stage: str) -> tuple[Segmentation, bool]:
+    where = () if picture.lattice is None else (picture.lattice.affine, picture.lattice.distortion)
+    key = fingerprint.key(fingerprint.of_array(picture.image), picture.name, where)
+    found = cache.load(stage, key, records.read_segmentation)
+    if found is not None:
+        return found, True
+    fresh = model(picture)
+    cache.store(stage, key, lambda part: records.write_segmentation(fresh, part), keep=None)
+    return fresh, False
+
+
+def _given(view: View, seen: Segmentation) -> View:
+    points, confidence = view.points, view.confidence
+    if seen.no_surface.any():
+        points = np.where(seen.no_surface[..., None], np.float32(np.nan), points)
+        confidence = np.where(seen.no_surface, np.float32(0), confidence)
+    return replace(view, points=points, confidence=confidence, evidence=seen.evidence)
