@@ -11,6 +11,8 @@ EXAMPLES = """\
 Examples:
   excavatwin map photos/ -o site               # photos -> map
   excavatwin map flight.mp4 -o site            # video -> map
+  excavatwin map photos/ -o site --reconstructor vggt --segmenter yoloe
+  excavatwin backbones                         # who can reconstruct, segment
   excavatwin fuse observations.npz -o site     # your own models' points -> map
   excavatwin config > settings.toml            # every parameter, with meaning
   excavatwin layers                            # what is in a map
@@ -35,6 +37,11 @@ Examples:
   excavatwin map photos/ -o site --mapper.decision.tau 0.5
   # a known length of 4.2 m between two pixels of a photo
   excavatwin map photos/ -o site --reference "IMG_9.JPG:1200,840:1510,861=4.2"
+  # other backbones (`excavatwin backbones` lists them), their own parameters
+  excavatwin map photos/ -o site --reconstructor vggt --vggt.chunking.size 32
+  excavatwin map photos/ -o site --reconstructor colmap:workspace/
+  excavatwin map photos/ -o site --segmenter yoloe --segmenter mask2former
+  excavatwin map photos/ -o site --segmenter masks:labels/ --map "mud=nothing"
   # all parameters in a file
   excavatwin config > settings.toml
   excavatwin map photos/ -o site --config settings.toml"""
@@ -63,6 +70,17 @@ Examples:
   excavatwin config > settings.toml
   excavatwin config --mapper.decision.tau 0.5 > settings.toml
   excavatwin map photos/ -o site --config settings.toml"""
+
+BACKBONES = """\
+Reconstructors and segmenters that can be chosen, and the state of each here.
+
+Installed? weights? licence, metric or not, memory, what to type next."""
+
+BACKBONES_EXAMPLES = """\
+Examples:
+  excavatwin backbones
+  excavatwin backbones vggt                    # all about one
+  excavatwin backbones --json                  # for programs"""
 
 DOCTOR = "What is installed, what each backbone needs, and the memory for N photos."
 
@@ -181,6 +199,7 @@ _register("mapping:map_command", "map", MAP, MAP_EXAMPLES)
 _register("mapping:fuse_command", "fuse", FUSE, FUSE_EXAMPLES)
 _register("reference_pages:layers_command", "layers", "What is in a map: layers, classes, reasons, with their ids.")
 _register("reference_pages:config_command", "config", CONFIG, CONFIG_EXAMPLES)
+_register("backbones:backbones_command", "backbones", BACKBONES, BACKBONES_EXAMPLES)
 _register("doctor:doctor_command", "doctor", DOCTOR, DOCTOR_EXAMPLES)
 _register("demo:demo_command", "demo", DEMO, DEMO_EXAMPLES)
 _register("datasets:datasets_command", "datasets", DATASETS, DATASETS_EXAMPLES)

@@ -34,14 +34,7 @@ def doctor_command(
     lines += ["", f"  cores      {memory.cores()}"]
     lines += [f"  memory     {free / 1e9:.1f} GB available" if free else "  memory     unknown", ""]
     lines += [f"  {name:<24}{version}" for name, version in found.items()]
-    lines += ["", "Backbones:"]
-    lines += [
-        "  photogrammetry  built in; pycolmap on the CPU, no weights, no GPU, no network: "
-        + ("ready" if found["pycolmap"] != "missing" else "missing, run: pip install pycolmap"),
-        "  appearance      built in; colour, texture and vegetation indices, no weights: "
-        + ("ready" if found["opencv-python-headless"] != "missing" else "missing"),
-        "  your own        any model's points and classes, through `excavatwin fuse`: ready",
-    ]
+    lines += ["", *_backbones()]
     if photos is not None:
         need = memory.estimate(photos, lattice)
         verdict = "" if free is None else (": fits" if need < free else ": more than is available")
@@ -56,3 +49,15 @@ def doctor_command(
         lines += ["", f"missing: {', '.join(missing)}; run: pip install --upgrade excavatwin"]
     say(*lines)
     return 1 if missing else 0
+
+
+def _backbones() -> list[str]:
+    """Who is ready, and who could be."""
+    from excavatwin.survey.backbone_states import states
+
+    lines = []
+    for kind in ("reconstructor", "segmenter"):
+        rows = list(states(kind))  # type: ignore[arg-type]
+        ready = [row.card.name for row in rows if row.state == "ready"]
+        lines.append(f"{kind}s ready: {', '.join(ready)} ({len(rows)} known; `excavatwin backbones` tells all)")
+    return lines
