@@ -313,6 +313,39 @@ def test_a_halo_does_not_widen_the_box_and_a_boom_is_not_cut_off() -> None:
     assert size(Occupancy(witnesses=0))[1] > 2.15  # every voxel alike: the skirt counts
 
 
+def test_specks_of_one_view_do_not_stretch_a_box_and_a_part_that_few_views_find_keeps_its_length() -> None:
+    """A manhole with specks on the ground beside it (caliterra), and a pickup whose bed three views of eight find."""
+    rng = np.random.default_rng(2)
+    ground = rng.uniform([-5, -2, -0.05], [3, 2, 0.05], (1500, 3))
+    manhole = rng.uniform([-1, -0.9, 0.2], [1, 0.9, 1.8], (250, 3))
+    specks = rng.uniform([-5, -1.4, 0.17], [-1.5, 1.4, 0.35], (60, 3))
+    assert _box_of([(manhole, 4), (specks, 1)], (ground, 4), witnesses=0.0)[0] > 5
+    assert _box_of([(manhole, 4), (specks, 1)], (ground, 4))[:2] == pytest.approx((2.0, 1.8), rel=0.08)
+    cab = rng.uniform([-3, -1, 0.3], [0, 1, 1.8], (600, 3))
+    bed = rng.uniform([0, -1, 0.3], [3, 1, 1.1], (400, 3))
+    ground = rng.uniform([-5, -3, -0.05], [5, 3, 0.05], (1500, 3))
+    assert _box_of([(cab, 8), (bed, 3)], (ground, 3))[:2] == pytest.approx((6.0, 2.0), rel=0.04)
+
+
+def _box_of(
+    body: list[tuple[np.ndarray, int]], ground: tuple[np.ndarray, int], witnesses: float = Occupancy().witnesses
+) -> tuple[float, float, float]:
+    """Size of the box of the one object on the ground; every part comes with the number of views that found it."""
+    parts = [*body, ground]
+    xyz = np.concatenate([part for part, _ in parts])
+    seen = np.repeat([views for _, views in parts], [len(part) for part, _ in parts])
+    S = int(seen.max())
+    kept = np.repeat(np.arange(S), len(xyz)) < np.tile(seen, S)
+    neighbours = cKDTree(xyz).query(xyz, 25)[1][:, 1:].astype(np.int32)
+    voxels = voxels_at(xyz, 0.1, S=S)
+    voxels = replace(voxels, voxel=voxels.voxel[kept], view=voxels.view[kept], xyz=voxels.xyz[kept],
+                     confidence=voxels.confidence[kept], evidence=voxels.evidence[kept],
+                     neighbours=neighbours, distances=np.zeros(neighbours.shape, np.float32))  # fmt: skip
+    member = np.arange(len(xyz)) < len(xyz) - len(ground[0])
+    terrain, labels = terrain_below(voxels, ~member), labels_of(np.full(len(xyz), 5))
+    return Occupancy().box(1, member, voxels, labels, terrain, witnessed(voxels) ** witnesses).size
+
+
 @relaxed
 @given(seeds, st.sampled_from([0.0, 0.01, 0.1]))
 def test_weighted_bounds_against_repetition(seed: int, trim: float) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray
 from PIL import Image
 
+from excavatwin.scene.frames import project
 from excavatwin.scene.taxonomy import TaskClass
 from test_cli import cli
 
@@ -82,3 +84,24 @@ def test_machine_and_pipes_stand_in_the_object_layer_and_heaps_do_not(excavation
     with xarray.open_dataset(excavation / "map.nc") as m:
         # Edges of objects share cells with the ground, which the consistency fills.
         assert np.isnan(m.elevation.values[m.object_id.values > 0]).mean() > 0.7
+
+
+def shown_at(site: Path, photo: str, pixel: tuple[float, float], within: float = 20.0) -> dict[str, Any]:
+    """The object whose box has its centre nearest to a pixel of a photo's lattice."""
+    camera = next(c for c in json.loads((site / "cameras.json").read_text())["cameras"] if c["name"] == f"{photo}.jpg")
+    objects = [o["properties"] for o in json.loads((site / "objects.geojson").read_text())["features"]]
+    K, T = np.array(camera["lattice"]["K"]), np.array(camera["T_map_cam"])
+    uv, z = project(K, T, np.array([o["centre"] for o in objects]))
+    apart = np.where(z > 0, np.hypot(*(uv - pixel).T), np.inf)
+    assert apart.min() < within, (photo, pixel)
+    return objects[int(apart.argmin())]
+
+
+def test_boxes_hold_the_pickup_and_the_manhole_and_no_specks_beside_them(excavation: Path) -> None:
+    """The scale is good to 8 % only; a crew-cab pickup is 5.8 x 2.0 m, the manhole's square top under 2 m."""
+    pickup = shown_at(excavation, "IMG_9414", (462, 408))
+    assert pickup["class"] == "obstacle"
+    assert 5.3 < pickup["size"][0] < 6.8
+    assert 1.8 < pickup["size"][1] < 2.6  # 2.74 m with its halo
+    manhole = shown_at(excavation, "IMG_9428", (520, 283))
+    assert 1.5 < manhole["size"][1] <= manhole["size"][0] < 2.6  # 5.9 m with the specks of one view west of it
