@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -16,8 +17,9 @@ from PIL import Image
 
 import excavatwin
 from excavatwin.cli import main
+from excavatwin.cli.console import consent
 from excavatwin.cli.flags import merge, split_stage_flags
-from excavatwin.cli.plans import backbone_tables, read_plan, to_toml
+from excavatwin.cli.plans import Choice, backbone_tables, read_plan, to_toml
 from excavatwin.cli.references import format_reference, parse_reference
 from excavatwin.cli.settings import parameters
 from excavatwin.errors import InputError
@@ -342,3 +344,25 @@ def test_foreign_folder_is_not_replaced(tmp_path: Path) -> None:
     (folder / "thesis.docx").write_text("years of work")
     assert "thesis.docx" in sentence(cli("fuse", file, "-o", folder))
     assert (folder / "thesis.docx").read_text() == "years of work"
+
+
+# --- backbones ------------------------------------------------------------------------------------------------------
+
+
+def test_parameters_of_a_backbone_that_is_not_used_are_refused() -> None:
+    with pytest.raises(InputError, match="--segmenter yoloe"):
+        read_plan(None, {"yoloe": {"device": {}}})
+    with pytest.raises(InputError, match="did you mean mapper"):
+        read_plan(None, {"maper": {}})
+
+
+def test_map_flag_needs_a_segmenter_with_classes() -> None:
+    with pytest.raises(InputError, match="appearance has no classes"):
+        read_plan(None, None, Choice(remap=["gravel=other_terrain"]))
+
+
+def test_weights_are_never_fetched_without_consent(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("yes\n"))  # no terminal: nobody can have agreed
+    assert consent(download=False)("Download the weights?") is False
+    assert consent(download=True)("Download the weights?") is True
+    assert "--download" in capsys.readouterr().err

@@ -113,7 +113,7 @@ def test_a_mapping_of_my_own(contract, tmp_path):
     np.testing.assert_allclose(loaded.views[0].evidence[0, 0], [0.7, 0, 0, 0, 0])
     assert loaded.source == {"class_mapping": "own", "class_mapping_policy": "mine"}
     path = labelled(contract, tmp_path / "b.npz", ids([2]), vocabulary=["digger", "spoil", "crane"])
-    with pytest.raises(InputError, match="says nothing about: crane"):
+    with pytest.raises(InputError, match="says nothing about 1 of 3: 'crane'"):
         load_observations(path, mapping=own)
 
 

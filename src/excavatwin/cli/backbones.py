@@ -29,7 +29,7 @@ def backbones_command(name: str | None = None, /, *, json: Annotated[bool, Param
         row = rooms.state_of(rooms.find_entry(name))
         say(*(_as_json([row]) if json else _details(row)))
         return
-    rows = {kind: list(rooms.states(kind)) for kind in ("reconstructor", "segmenter")}  # type: ignore[arg-type]
+    rows = {kind: list(rooms.states(kind)) for kind in ("reconstructor", "segmenter")}
     if json:
         say(*_as_json([row for kind in rows.values() for row in kind]))
         return

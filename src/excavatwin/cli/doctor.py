@@ -57,7 +57,7 @@ def _backbones() -> list[str]:
 
     lines = []
     for kind in ("reconstructor", "segmenter"):
-        rows = list(states(kind))  # type: ignore[arg-type]
+        rows = list(states(kind))
         ready = [row.card.name for row in rows if row.state == "ready"]
         lines.append(f"{kind}s ready: {', '.join(ready)} ({len(rows)} known; `excavatwin backbones` tells all)")
     return lines

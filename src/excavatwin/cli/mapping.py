@@ -83,6 +83,7 @@ def fuse_command(
     config: Config = None,
     force: Annotated[bool, Parameter(negative="")] = False,
     class_mapping: str | None = None,
+    remap: MapFlag = None,
     changes: Changes = None,
 ) -> None:
     """Fuse observations that your own models made, and write the SITE folder.
@@ -102,11 +103,14 @@ def fuse_command(
     class_mapping
         For labels in another vocabulary: task, ade20k-150, coco-panoptic, cityscapes, goose-64, rellis-3d (after
         them, ":strict" for that policy instead of "diggable"), or a TOML file of your own.
+    remap
+        "CLASS=TASK_CLASS": count a class as another task class, or as nothing. Repeatable.
     """
     from excavatwin.cli.console import shown_progress
     from excavatwin.cli.summary import say_result
     from excavatwin.errors import InputError
     from excavatwin.survey import fuse_observations
+    from excavatwin.vocabularies import parse_remap
 
     unused = [name for name in changes or {} if name != "mapper"]
     plan = read_plan(config, changes)
@@ -121,6 +125,7 @@ def fuse_command(
             progress=progress,
             force=force,
             mapping=class_mapping,
+            remap=parse_remap(remap or ()),
         )
     say_result(result, site, f"excavatwin fuse {observations} -o {site}")
 

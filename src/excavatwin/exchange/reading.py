@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,10 +28,15 @@ from excavatwin.exchange.archive import Archive, read_archive
 from excavatwin.exchange.provenance import Provenance, parse_provenance
 from excavatwin.scene.observations import Observations, View
 from excavatwin.scene.taxonomy import K as CLASSES
-from excavatwin.vocabularies import Vocabulary, canonical, read_vocabulary, shipped_vocabularies
+from excavatwin.vocabularies import canonical, read_vocabulary, resolve, shipped_vocabularies
 
 
-def load_observations(path: str | Path, force: bool = False, mapping: str | Path | None = None) -> Observations:
+def load_observations(
+    path: str | Path,
+    force: bool = False,
+    mapping: str | Path | None = None,
+    remap: Mapping[str, str] = MappingProxyType({}),
+) -> Observations:
     """Observations from an ``.npz`` file, or from a folder of one ``.npz`` per view with ``views.json``.
 
     Args:
@@ -38,6 +44,7 @@ def load_observations(path: str | Path, force: bool = False, mapping: str | Path
         force: go on although points miss their own pixels by more than 2 % of the image width.
         mapping: shipped class mapping by name, or a TOML file, for labels or evidence in another vocabulary; stands
             above the one named in the file. Without ``vocabulary`` in the file, labels are ids of this mapping.
+        remap: class -> task class where the user maps otherwise, see ``vocabularies.parse_remap``.
 
     Raises:
         ObservationError: the file breaks its contract; the message names the first thing that is wrong.
@@ -48,7 +55,7 @@ def load_observations(path: str | Path, force: bool = False, mapping: str | Path
     if not archive.views:
         raise ObservationError(f"{path} holds no view.")
     names = _names(archive)
-    semantics = _Semantics.of(archive, mapping)
+    semantics = _Semantics.of(archive, mapping, remap)
     provenance = parse_provenance(archive.shared.get("provenance"), len(names))
     views = tuple(
         _view(record, f"view {i} ('{names[i]}')", names[i], semantics, provenance)
@@ -64,7 +71,7 @@ def load_observations(path: str | Path, force: bool = False, mapping: str | Path
         georeference=provenance.georeference,
         unplaced=provenance.unplaced,
         doubts=tuple(doubts),
-        source={**provenance.source, **semantics.source()},
+        source={**provenance.source, **semantics.source},
     )
 
 
@@ -95,44 +102,43 @@ class _Semantics:
     """Ids that label images may hold, besides 255."""
     meaning: str
     """What those ids are, for messages."""
-    vocabulary: Vocabulary | None
+    source: Mapping[str, str]
+    """What belongs beside every figure that depends on the mapping; empty for task classes."""
 
     @staticmethod
-    def of(archive: Archive, mapping: str | Path | None) -> _Semantics:
+    def of(archive: Archive, mapping: str | Path | None, remap: Mapping[str, str]) -> _Semantics:
         names = archive.shared.get("vocabulary")
         named = [str(name) for name in np.atleast_1d(np.asarray(names))] if names is not None else None
         chosen = mapping if mapping is not None else archive.shared.get("class_mapping")
-        if chosen is None:
-            if named is not None and not read_vocabulary("task").covers(named):
-                raise InputError(_unmapped(named))
-            vocabulary = None if named is None else read_vocabulary("task")
-        else:
-            vocabulary = read_vocabulary(chosen if isinstance(chosen, Path) else str(chosen))
-        if vocabulary is None:
+        if chosen is None and named is not None and not read_vocabulary("task").covers(named):
+            raise InputError(_unmapped(named))
+        if chosen is None and named is None:
+            if remap:
+                raise InputError(
+                    f"--map speaks of {', '.join(remap)}, but the file holds task classes already, no classes of a "
+                    "segmenter; give --class-mapping too when its labels are ids of another vocabulary."
+                )
             identity = np.vstack([np.zeros(CLASSES, np.float32), np.eye(CLASSES, dtype=np.float32)])
-            return _Semantics(identity, frozenset(range(CLASSES + 1)), "task class ids 0..5", None)
+            return _Semantics(identity, frozenset(range(CLASSES + 1)), "task class ids 0..5", {})
+        wanted = "task" if chosen is None else str(chosen)
         if named is None:
+            vocabulary = read_vocabulary(wanted)
             named = [vocabulary.names.get(i, "") for i in range(max(vocabulary.names) + 1)]
-            ids = frozenset(vocabulary.names)
-            rows = vocabulary.matrix([name for name in named if name])
-            weights = np.zeros((len(named), CLASSES), np.float32)
-            weights[sorted(ids)] = rows
-            return _Semantics(weights, ids, f"ids of the mapping '{vocabulary.mapping.name}'", vocabulary)
-        ids = frozenset(range(len(named)))
-        return _Semantics(vocabulary.matrix(named), ids, f"indices 0..{len(named) - 1} of the vocabulary", vocabulary)
-
-    def source(self) -> dict[str, str]:
-        """What belongs beside every figure that depends on the mapping."""
-        if self.vocabulary is None:
-            return {}
-        return {"class_mapping": self.vocabulary.mapping.name, "class_mapping_policy": self.vocabulary.policy}
+            ids, meaning = frozenset(vocabulary.names), f"ids of the mapping '{vocabulary.mapping.name}'"
+        else:
+            ids, meaning = frozenset(range(len(named))), f"indices 0..{len(named) - 1} of the vocabulary"
+        resolved = resolve([name for name in named if name], wanted, remap)
+        weights = np.zeros((len(named), CLASSES), np.float32)
+        weights[sorted(ids)] = resolved.weights
+        source = {"class_mapping": resolved.mapping, "class_mapping_policy": resolved.policy}
+        return _Semantics(weights, ids, meaning, source)
 
     def evidence(
         self, record: dict[str, np.ndarray], points: Float32[np.ndarray, "H W 3"], where: str
     ) -> Float32[np.ndarray, "H W K"]:
         """Evidence for the task classes from the record's evidence channels or label image."""
         if "evidence" in record:
-            if self.vocabulary is None:
+            if not self.source:
                 return checked_layer(record["evidence"], "evidence", points, where, CLASSES)
             return checked_layer(record["evidence"], "evidence", points, where, len(self.weights)) @ self.weights
         labels = checked_labels(record["labels"], set(self.ids), self.meaning, points.shape[:2], where)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import excavatwin
@@ -87,6 +88,7 @@ def fuse_observations(
     progress: Progress = silent,
     force: bool = False,
     mapping: Path | str | None = None,
+    remap: Mapping[str, str] = MappingProxyType({}),
 ) -> Site:
     """Fuse an observations file (``.npz``) or folder that anybody's models made, and write the SITE folder.
 
@@ -98,6 +100,7 @@ def fuse_observations(
         progress: told which stage is at work.
         force: go on although the points do not reproject onto their own pixels.
         mapping: class mapping for labels in another vocabulary, see ``exchange.load_observations``.
+        remap: class -> task class where the user maps otherwise.
 
     Raises:
         ObservationError: the file breaks its contract; the message names the first thing that is wrong.
@@ -111,7 +114,7 @@ def fuse_observations(
     journal = Journal()
     with journal.stage("load") as row:
         progress("load", 0, 1)
-        obs = load_observations(path, force=force, mapping=mapping)
+        obs = load_observations(path, force=force, mapping=mapping, remap=remap)
         row["views"] = len(obs.views)
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     hashes = fingerprint.of_files([file for file in files if file.is_file()])
