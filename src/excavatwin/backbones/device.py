@@ -77,7 +77,9 @@ def out_of_memory(error: BaseException) -> bool:
     return isinstance(error, RuntimeError) and ("out of memory" in text or "not enough memory" in text)
 
 
-def halving(run: Callable[[int], T], size: int, least: int, say: Callable[[str], None]) -> T:
+def halving(
+    run: Callable[[int], T], size: int, least: int, say: Callable[[str], None], unit: str = "images at a time"
+) -> T:
     """``run(size)``, and again with half of it whenever memory runs out.
 
     Args:
@@ -85,6 +87,7 @@ def halving(run: Callable[[int], T], size: int, least: int, say: Callable[[str],
         size: images at a time to begin with.
         least: fewest images with which the work still makes sense.
         say: told each time, in one sentence.
+        unit: what ``size`` counts, in words, when it is not images.
 
     Raises:
         InputError: memory does not suffice for ``least`` either.
@@ -97,16 +100,14 @@ def halving(run: Callable[[int], T], size: int, least: int, say: Callable[[str],
         except (MemoryError, RuntimeError) as error:
             if not out_of_memory(error):
                 raise
-            short = error
-        del short.__traceback__  # frees the tensors that its frames hold
-        _release()
+        _release()  # out here the error is gone, and with it the tensors that its frames held
         if size <= least:
             raise InputError(
-                f"memory ran out with {size} image{'s' if size > 1 else ''} at a time; use a smaller lattice, "
-                "--...device.name cpu, or a smaller model."
+                f"memory ran out with {size} {unit.replace('images', 'image') if size == 1 else unit}; use a smaller "
+                "lattice, --...device.name cpu, or a smaller model."
             ) from None
         smaller = max(least, size // 2)
-        say(f"memory ran out with {size} images at a time; going on with {smaller}.")
+        say(f"memory ran out with {size} {unit}; going on with {smaller}.")
         size = smaller
 
 
