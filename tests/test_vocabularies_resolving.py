@@ -22,7 +22,7 @@ haze = "nothing"
 
 
 def names_of(vocabulary: str) -> list[str]:
-    return list(read_vocabulary(vocabulary).names.values())
+    return list(read_vocabulary(vocabulary).classes)
 
 
 @pytest.mark.parametrize("name", shipped_vocabularies())
@@ -175,4 +175,49 @@ def test_evidence_is_bounded_and_missing_mass_stays_missing():
 def test_bad_keys_of_mapping_files(text, message, tmp_path):
     (tmp_path / "own.toml").write_text(text)
     with pytest.raises(InputError, match=message):
+        read_vocabulary(tmp_path / "own.toml")
+
+
+# --- the shipped ones -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", shipped_vocabularies())
+def test_sky_and_water_never_vote(name):
+    vocabulary = read_vocabulary(name)
+    silent = [n for n in vocabulary.classes if not vocabulary.matrix([n]).any()]
+    wet = [n for n in vocabulary.classes if set(n.lower().replace("-", " ").split()) & {"sky", "sea", "lake", "river"}]
+    wet = [n for n in wet if n not in ("sea star", "river boat")]
+    assert set(wet) <= set(silent)
+    assert vocabulary.surfaceless(wet).all()
+    assert not vocabulary.matrix([n for n in vocabulary.classes if vocabulary.surfaceless([n])[0]] or ["sky"][:0]).any()
+
+
+def test_tags_of_a_prompt_free_model_are_told_apart_from_those_that_have_no_line():
+    tags = [*names_of("yoloe-tags"), "wedding cake", "beautiful"]
+    found = resolve(tags)
+    assert (found.mapping, found.otherwise) == ("yoloe-tags", ("wedding cake", "beautiful"))
+    assert found.weights[tags.index("excavator")].tolist() == EX.tolist()
+    with pytest.raises(InputError, match="has no line for 2 of 3: 'wedding cake', 'beautiful'"):
+        resolve(["excavator", "wedding cake", "beautiful"])
+
+
+def test_lvis_names_of_detectron_and_of_ultralytics_are_one_class():
+    names = ["bow_(decorative_ribbons)", "power_shovel", "power shovel/dredge", "dumpster"]
+    np.testing.assert_array_equal(resolve(names, "lvis-v1").weights, [OB / 4, EX, EX, OB])
+    assert resolve(names, "lvis-v1").otherwise == ("bow_(decorative_ribbons)",)
+
+
+@pytest.mark.parametrize("name", ["goose-64", "rellis-3d", "cityscapes", "mapillary-vistas"])
+def test_palettes_are_whole_and_name_one_vote_each(name):
+    vocabulary = read_vocabulary(name)
+    assert set(vocabulary.colours) == {vocabulary.key(n) for n in vocabulary.classes}
+    votes: dict = {}
+    for key, colour in vocabulary.colours.items():
+        assert votes.setdefault(colour, vocabulary.mapping.weights[key]) == vocabulary.mapping.weights[key]
+
+
+def test_one_colour_for_two_votes_is_refused(tmp_path):
+    text = '[classes]\na = "obstacle"\nb = "excavator"\n[colours]\na = [1, 2, 3]\nb = [1, 2, 3]\n'
+    (tmp_path / "own.toml").write_text(text)
+    with pytest.raises(InputError, match=r"'b' has the colour \[1, 2, 3\] of a class that votes otherwise"):
         read_vocabulary(tmp_path / "own.toml")

@@ -28,7 +28,7 @@ from excavatwin.exchange.archive import Archive, read_archive
 from excavatwin.exchange.provenance import Provenance, parse_provenance
 from excavatwin.scene.observations import Observations, View
 from excavatwin.scene.taxonomy import K as CLASSES
-from excavatwin.vocabularies import canonical, read_vocabulary, resolve, shipped_vocabularies
+from excavatwin.vocabularies import fitting, read_vocabulary, resolve
 
 
 def load_observations(
@@ -123,6 +123,11 @@ class _Semantics:
         wanted = "task" if chosen is None else str(chosen)
         if named is None:
             vocabulary = read_vocabulary(wanted)
+            if not vocabulary.names:
+                raise InputError(
+                    f"the mapping '{wanted}' knows classes by name only, but the file has labels without names; add "
+                    "the key vocabulary, the names in the order of the labels."
+                )
             named = [vocabulary.names.get(i, "") for i in range(max(vocabulary.names) + 1)]
             ids, meaning = frozenset(vocabulary.names), f"ids of the mapping '{vocabulary.mapping.name}'"
         else:
@@ -153,15 +158,15 @@ class _Semantics:
 
 
 def _unmapped(named: Sequence[str]) -> str:
-    fitting = [name for name in shipped_vocabularies() if read_vocabulary(name).covers(named)]
-    if fitting:
+    fit = fitting(named)
+    if fit:
         advice = (
-            f"the shipped mapping '{fitting[0]}' covers it: if you agree with it, give --class-mapping {fitting[0]} "
-            f"(in Python mapping='{fitting[0]}')"
+            f"the shipped mapping '{fit[0]}' covers it: if you agree with it, give --class-mapping {fit[0]} "
+            f"(in Python mapping='{fit[0]}')"
         )
     else:
-        strange = next(n for n in named if canonical(n) not in read_vocabulary("task").mapping.weights)
-        advice = f"no shipped mapping covers it (first foreign class: '{strange}'): write a TOML file of your own"
+        foreign = ", ".join(map(repr, read_vocabulary("task").foreign(named)))
+        advice = f"no shipped mapping covers it (foreign classes: {foreign}): write a TOML file of your own"
     return f"the file has a vocabulary of {len(named)} classes but no class mapping to task classes; {advice}."
 
 

@@ -5,7 +5,7 @@ class belongs to is a choice that scores depend on, so each choice is a named po
 """
 
 from excavatwin.vocabularies.mapping_files import policies_of, read_vocabulary, shipped_vocabularies
-from excavatwin.vocabularies.resolving import Resolved, parse_remap, resolve
+from excavatwin.vocabularies.resolving import Resolved, fitting, parse_remap, resolve
 from excavatwin.vocabularies.vocabulary import NOTHING, Vocabulary, canonical, whole
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Resolved",
     "Vocabulary",
     "canonical",
+    "fitting",
     "parse_remap",
     "policies_of",
     "read_vocabulary",

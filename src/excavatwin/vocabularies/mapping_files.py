@@ -30,7 +30,8 @@ def read_vocabulary(source: str | Path, policy: str | None = None) -> Vocabulary
     - ``name`` and ``policy`` (the name of this mapping), ``[policies.NAME]`` with the classes that another policy maps
       otherwise. The shipped ones have "diggable" (what a bucket can take is construction terrain) and "strict" (laid
       gravel and turf are not; rock is; debris is an obstacle);
-    - ``ids``, when they do not count 0, 1, 2, ...; ``[aliases]``, other names of the same classes;
+    - ``ids``, when they do not count 0, 1, 2, ... (``[]``: there are none); ``[aliases]``, other names of the same
+      classes;
     - ``vocabulary``, all names in the order of the ids, and ``otherwise``, what those are mapped to that ``[classes]``
       does not mention; without ``vocabulary``, ``otherwise`` holds for every other name there is;
     - ``no_surface``, names of sky and water; ``[colours]``, name = [red, green, blue] of painted label images.
@@ -113,12 +114,13 @@ def _vocabulary(table: dict[str, Any], source: str, policy: str | None) -> Vocab
         weights.setdefault(whole(alias), weights[_known(str(name), weights, f"alias {alias!r} stands for", where)])
     return Vocabulary(
         ClassMapping(str(table.get("name", Path(source).stem)), weights),
-        dict(zip(_ids(table.get("ids"), len(names), where), names, strict=True)),
+        dict(zip(_ids(table.get("ids"), len(names), where), names, strict=False)),
         policy or first,
         frozenset(_known(str(name), weights, "no_surface names", where) for name in table.get("no_surface", [])),
         _colours(table.get("colours", {}), weights, where),
         otherwise,
         unlisted,
+        tuple(names),
         closed=otherwise is None or "vocabulary" in table,
     )
 
@@ -185,6 +187,8 @@ def _known(name: str, weights: Mapping[str, Weights], what: str, where: str) -> 
 
 def _ids(ids: object, count: int, where: str) -> list[int]:
     found = list(range(count)) if ids is None else ids
+    if found == []:
+        return []
     if not isinstance(found, list) or len(found) != count or not all(type(i) is int and i >= 0 for i in found):
         raise InputError(
             f"{where} has {len(found) if isinstance(found, list) else 'no list of'} ids for {count} classes; give one "
@@ -197,8 +201,14 @@ def _ids(ids: object, count: int, where: str) -> list[int]:
 
 def _colours(table: Mapping[str, object], weights: Mapping[str, Weights], where: str) -> dict[str, Colour]:
     colours: dict[str, Colour] = {}
+    votes: dict[tuple[int, ...], Weights] = {}
     for name, colour in table.items():
         if not isinstance(colour, list) or len(colour) != 3 or not all(type(c) is int and 0 <= c < 256 for c in colour):
             raise InputError(f"{where}: the colour of {name!r} is {colour!r}; give [red, green, blue] in 0..255.")
-        colours[_known(name, weights, "[colours] paints", where)] = (colour[0], colour[1], colour[2])
+        key = _known(name, weights, "[colours] paints", where)
+        if votes.setdefault(tuple(colour), weights[key]) != weights[key]:
+            raise InputError(
+                f"{where}: {name!r} has the colour {colour} of a class that votes otherwise; leave one out."
+            )
+        colours[key] = (colour[0], colour[1], colour[2])
     return colours

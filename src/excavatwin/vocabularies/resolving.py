@@ -149,25 +149,42 @@ def _own(names: Sequence[str], remap: Mapping[str, str]) -> dict[str, dict[TaskC
     )
 
 
+def fitting(names: Sequence[str], own: Collection[str] = ()) -> tuple[str, ...]:
+    """The shipped class mappings that have a line for every class; first those of exactly these, then the smallest.
+
+    Args:
+        names: the model's classes.
+        own: more classes of the model, whose task class the user says.
+    """
+    known = [read_vocabulary(name) for name in shipped_vocabularies()]
+    same = {one.mapping.name for one in known if _same(one, names, own)}
+    fit = [one for one in known if one.mapping.name in same or not _without_line(one, names)]
+    fit.sort(key=lambda one: (one.mapping.name not in same, len(one.classes), one.mapping.name))
+    return tuple(one.mapping.name for one in fit)
+
+
 def _chosen(names: Sequence[str], own: Collection[str], mapping: str) -> Vocabulary:
     """The mapping that was asked for, or the shipped one that fits best the classes that are not the user's own."""
     if mapping and not mapping.startswith(":"):
         return read_vocabulary(mapping)
-    policy = mapping[1:] or None
+    fit = fitting(names, own)
+    if fit:
+        return read_vocabulary(fit[0], mapping[1:] or None)
     known = [read_vocabulary(name) for name in shipped_vocabularies()]
-    fitting = [one for one in known if _same(one, names, own) or not _without_line(one, names)]
-    if not fitting:
-        nearest = min(known, key=lambda one: (len(_without_line(one, names)), len(one.names), one.mapping.name))
-        hint = f"no shipped class mapping covers all classes; the nearest, {nearest.mapping.name}, has no line for"
-        raise InputError(_unmapped(_without_line(nearest, names), (*names, *own), hint))
-    best = min(fitting, key=lambda one: (not _same(one, names, own), len(one.names), one.mapping.name))
-    return best if policy is None else read_vocabulary(best.mapping.name, policy)
+    nearest = min(known, key=lambda one: (len(_without_line(one, names)), len(one.classes), one.mapping.name))
+    hint = f"no shipped class mapping covers all classes; the nearest, {nearest.mapping.name}, has no line for"
+    raise InputError(_unmapped(_without_line(nearest, names), (*names, *own), hint))
 
 
 def _same(vocabulary: Vocabulary, names: Sequence[str], own: Collection[str]) -> bool:
-    """Whether these and the user's own are exactly the classes of a vocabulary, in whatever order."""
+    """Whether these and the user's own are exactly the classes of a vocabulary, in whatever order.
+
+    A vocabulary that leaves classes outside its lines to ``otherwise`` is meant when they include nine lines in ten.
+    """
     there = {vocabulary.key(name) for name in (*names, *own)}
-    return vocabulary.covers(names) and {vocabulary.key(name) for name in vocabulary.names.values()} <= there
+    known = {vocabulary.key(name) for name in vocabulary.classes}
+    enough = len(known) if vocabulary.closed else 0.9 * len(known)
+    return vocabulary.covers(names) and len(known & there) >= enough
 
 
 def _without_line(vocabulary: Vocabulary, names: Sequence[str]) -> list[str]:

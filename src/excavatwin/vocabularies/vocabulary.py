@@ -25,7 +25,7 @@ class Vocabulary:
     mapping: ClassMapping
     """Keys are whole names (``whole``) and canonical ones (``canonical``), aliases included."""
     names: dict[int, str]
-    """Class id of the label images -> name."""
+    """Class id of the label images -> name; empty when the classes are known by name only."""
     policy: str
     """Which of several defensible mappings this is; it stands beside every figure that depends on it."""
     no_surface: frozenset[str] = frozenset()
@@ -36,6 +36,8 @@ class Vocabulary:
     """What every class without a line of its own is mapped to, by an explicit ``otherwise`` of the file."""
     unlisted: frozenset[str] = frozenset()
     """Keys of those classes of ``names`` to which ``otherwise`` applies."""
+    classes: tuple[str, ...] = ()
+    """All names, in the order of the file."""
     closed: bool = True
     """Whether classes outside ``names`` and the aliases are foreign; not so for a user's ``otherwise`` for all."""
 
@@ -84,4 +86,4 @@ def whole(name: str) -> str:
 
 def canonical(name: str) -> str:
     """The name by which classes are compared: first synonym, lower case, words parted by one space."""
-    return whole(re.split(r"[,(;]", name)[0])
+    return whole(re.split(r"[,(;/]", name)[0])
