@@ -53,12 +53,18 @@ def network(kind: str, folder: Path, stamp: str, device: Any) -> Any:
     import torch
     import transformers
 
+    bars = transformers.utils.logging
+    shown = bars.is_progress_bar_enabled()
+    bars.disable_progress_bar()  # the terminal is the survey's
     try:
         found, report = getattr(transformers, kind).from_pretrained(
             folder, local_files_only=True, output_loading_info=True, dtype=torch.float32
         )
     except Exception as error:  # whatever the library raises, the folder cannot be used
         raise InputError(f"{folder} cannot be loaded as {kind} ({_first_line(error)}); download it again.") from error
+    finally:
+        if shown:
+            bars.enable_progress_bar()
     absent = sorted(map(str, report["missing_keys"])) + sorted(map(str, report["mismatched_keys"]))
     if absent:
         raise InputError(
@@ -77,12 +83,14 @@ def tokenizer(folder: Path, stamp: str) -> Any:
     """
     from transformers import AutoTokenizer
 
+    if not any((folder / name).is_file() for name in ("tokenizer.json", "vocab.json", "vocab.txt")):
+        # transformers would go on with an empty vocabulary, and every prompt would mean the same
+        raise InputError(f"{folder} holds no tokenizer; download it again, with its *.json and *.txt files.")
     try:
         return AutoTokenizer.from_pretrained(folder, local_files_only=True)
     except Exception as error:  # whatever the library raises, there is no tokenizer
         raise InputError(
-            f"{folder} holds no tokenizer that transformers can read ({_first_line(error)}); download it again, "
-            "with its *.json and *.txt files."
+            f"{folder} holds a tokenizer that cannot be read ({_first_line(error)}); download it again."
         ) from error
 
 

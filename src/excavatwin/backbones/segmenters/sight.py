@@ -44,8 +44,11 @@ def cornered(size: tuple[int, int], side: int) -> Fit:
 
 def bounded(size: tuple[int, int], short: int, long: int) -> Fit:
     """The short side at ``short`` unless the long one would exceed ``long`` (as detection transformers do)."""
-    scale = min(short / min(size), long / max(size))
-    resized = (max(1, round(size[0] * scale)), max(1, round(size[1] * scale)))
+    least, most = min(size), max(size)
+    fits = most / least * short <= long
+    low, high = (short, int(short * most / least)) if fits else (round(long * least / most), long)  # rounded as they do
+    sides = max(1, low), max(1, high)
+    resized = sides if size[0] <= size[1] else sides[::-1]
     return Fit(size, (resized[1], resized[0]), resized, (0, 0))
 
 
