@@ -31,6 +31,11 @@ def upright(placement: Placement, photos: Sequence[Photo]) -> Placement:
     The vertical comes from GPS positions that determine it, else from gimbal tags, else from cameras and terrain. With
     a vertical from elsewhere, GPS still gives heading, scale and position (four parameters, horizontal first).
     """
+    return uprighting(placement, photos)[0]
+
+
+def uprighting(placement: Placement, photos: Sequence[Photo]) -> tuple[Placement, Float64[np.ndarray, "4 4"]]:
+    """As ``upright``, with the similarity [[s R, t], [0, 1]] from the old frame into the new one beside it."""
     cameras = placement.cameras
     centres = np.array([camera.T_R_cam[:3, 3] for camera in cameras])
     of_name = {photo.name: photo for photo in photos}
@@ -48,7 +53,8 @@ def upright(placement: Placement, photos: Sequence[Photo]) -> Placement:
     if flat is None or epsg is None:
         origin = np.median(placement.points.xyz, axis=0) if len(placement.points.xyz) else centres.mean(0)
         moved = _moved(placement, 1.0, R, -R @ origin)
-        return replace(moved, up_from=up.source, up_doubt=up.doubt, doubts=tuple(doubts))
+        local_frame = replace(moved, up_from=up.source, up_doubt=up.doubt, doubts=tuple(doubts))
+        return local_frame, _matrix(1.0, R, -R @ origin)
     if whole is not None and up.source == "gps":
         scale, R, t, residual = whole.scale, whole.rotation, whole.translation, whole.residual
     else:
@@ -56,7 +62,7 @@ def upright(placement: Placement, photos: Sequence[Photo]) -> Placement:
         R = turn @ R
     origin = np.round(np.median(scale * placement.points.xyz @ R.T + t, axis=0))
     moved = _moved(placement, scale, R, t - origin)
-    return replace(
+    in_metres = replace(
         moved,
         up_from=up.source,
         up_doubt=up.doubt,
@@ -64,6 +70,7 @@ def upright(placement: Placement, photos: Sequence[Photo]) -> Placement:
         georeference=Georeference(epsg, (float(origin[0]), float(origin[1]), float(origin[2])), float(residual)),
         doubts=tuple(doubts),
     )
+    return in_metres, _matrix(scale, R, t - origin)
 
 
 def project(fixes: Sequence[GpsFix]) -> tuple[int, Float64[np.ndarray, "n 3"]]:
@@ -159,6 +166,13 @@ def _with_height(
 def _said(source: str) -> str:
     words = {"gps": "GPS positions", "gimbal": "gimbal angles", "cameras": "the way the cameras were held and flown"}
     return words.get(source, "the way the cameras were held and flown and the mean slope of the ground")
+
+
+def _matrix(scale: float, R: Float64[np.ndarray, "3 3"], t: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "4 4"]:
+    """p -> scale R p + t."""
+    S = np.eye(4)
+    S[:3, :3], S[:3, 3] = scale * R, t
+    return S
 
 
 def _moved(placement: Placement, scale: float, R: Float64[np.ndarray, "3 3"], t: Float64[np.ndarray, "3"]) -> Placement:
