@@ -124,6 +124,19 @@ Examples:
   excavatwin evaluate oces/ --sites sites/ --reference lidar --align cameras
   excavatwin evaluate rellis/ --sites sites/ --policy strict --no-map"""
 
+COMPARE = """\
+Compare two maps of one site: two backbones, or two settings.
+
+Heights (B minus A), classes, coverage, objects, and what differs in how the
+maps were made. Neither is taken for the truth: `evaluate` does that."""
+
+COMPARE_EXAMPLES = """\
+Examples:
+  excavatwin compare site_a site_b
+  excavatwin compare site_a site_b -o comparison
+  # GPS of a phone: let the photos of equal names place B, not the georeference
+  excavatwin compare site_a site_b --align cameras"""
+
 SIMULATE = """\
 Record made-up dig sites: photos, and the truth of every pixel and cell.
 
@@ -204,6 +217,7 @@ _register("doctor:doctor_command", "doctor", DOCTOR, DOCTOR_EXAMPLES)
 _register("demo:demo_command", "demo", DEMO, DEMO_EXAMPLES)
 _register("datasets:datasets_command", "datasets", DATASETS, DATASETS_EXAMPLES)
 _register("evaluate:evaluate_command", "evaluate", EVALUATE, EVALUATE_EXAMPLES)
+_register("compare:compare_command", "compare", COMPARE, COMPARE_EXAMPLES)
 _register("simulate:simulate_command", "simulate", SIMULATE, SIMULATE_EXAMPLES)
 _register("ground_filters:ground_filters_command", "ground-filters", GROUND_FILTERS, GROUND_FILTERS_EXAMPLES)
 _register("ablate:ablate_command", "ablate", ABLATE, ABLATE_EXAMPLES)

@@ -140,7 +140,7 @@ def _map(axes: Axes, m: ElevationMap, limits: tuple[float, float]) -> None:
     axes.set_xlim(x0 - pad_x, x1 + pad_x)
     axes.set_ylim(y0 - pad_y, y1 + pad_y)
     _title(axes, "terrain elevation, objects outlined")
-    _scale_bar(axes, m.unit)
+    scale_bar(axes, m.unit)
     if m.georeference is not None:
         arrow = {"arrowstyle": "-|>", "color": _INK, "lw": 1.6, "path_effects": _HALO}
         axes.annotate(
@@ -162,7 +162,7 @@ def _padding(axes: Axes, width: float, height: float) -> tuple[float, float]:
     return max(0.0, (height * aspect - width) / 2), max(0.0, (width / aspect - height) / 2)
 
 
-def _scale_bar(axes: Axes, unit: str) -> None:
+def scale_bar(axes: Axes, unit: str) -> None:
     """A bar of 1, 2 or 5 times a power of ten, about a fifth of the panel."""
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     wanted = 0.22 * (x1 - x0)
