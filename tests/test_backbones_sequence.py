@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated_network import Emulated, Flight, line
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from emulated_network import Emulated, Flight, line
 from excavatwin.backbones.sequence.network import Prediction
 from excavatwin.errors import ObservationError, OutputError, ReconstructionError
 from excavatwin.scene.frames import invert_rigid, umeyama
