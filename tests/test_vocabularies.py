@@ -23,6 +23,7 @@ SIZES = {
     "mapillary-vistas-2": 124,
     "rellis-3d": 20,
     "task": 6,
+    "worksite": 0,
     "yoloe-tags": 0,
 }
 
@@ -127,14 +128,14 @@ def test_evidence_of_a_vocabulary_is_merged_by_summing(contract, tmp_path):
 
 def test_a_mapping_of_my_own(contract, tmp_path):
     own = tmp_path / "own.toml"
-    own.write_text('policy = "mine"\n[classes]\ndigger = "excavator"\nspoil = { construction_terrain = 0.7 }\n')
-    path = labelled(contract, tmp_path / "a.npz", ids([1, 0]), vocabulary=["digger", "spoil"])
-    with pytest.raises(InputError, match="foreign classes: 'digger', 'spoil'"):
+    own.write_text('policy = "mine"\n[classes]\nratchet = "excavator"\nzeppelin = { construction_terrain = 0.7 }\n')
+    path = labelled(contract, tmp_path / "a.npz", ids([1, 0]), vocabulary=["ratchet", "zeppelin"])
+    with pytest.raises(InputError, match="foreign classes: 'ratchet', 'zeppelin'"):
         load_observations(path)
     loaded = load_observations(path, mapping=own)
     np.testing.assert_allclose(loaded.views[0].evidence[0, 0], [0.7, 0, 0, 0, 0])
     assert loaded.source == {"class_mapping": "own", "class_mapping_policy": "mine"}
-    path = labelled(contract, tmp_path / "b.npz", ids([2]), vocabulary=["digger", "spoil", "crane"])
+    path = labelled(contract, tmp_path / "b.npz", ids([2]), vocabulary=["ratchet", "zeppelin", "crane"])
     with pytest.raises(InputError, match="says nothing about 1 of 3: 'crane'"):
         load_observations(path, mapping=own)
 

@@ -38,6 +38,7 @@ def test_among_several_that_cover_the_smallest_is_chosen():
     assert resolve(["road", "sky"]).mapping == "cityscapes"
     assert resolve(["grass", "sky"]).mapping == "rellis-3d"
     assert resolve(["excavator"]).mapping == "task"
+    assert resolve(["excavator", "soil", "sky"]).mapping == "worksite"
 
 
 def test_channels_keep_the_order_of_the_model():
@@ -57,24 +58,20 @@ def test_another_policy_of_the_chosen_mapping():
 
 def test_all_unmapped_classes_are_listed():
     with pytest.raises(InputError) as refused:
-        resolve(["grass", "spoil heap", "tree", "geotextile", "sheet pile"], "goose-64")
+        resolve(["grass", "sphagnum", "tree", "zeppelin", "sheet pile"], "goose-64")
     message = str(refused.value)
-    assert "goose-64 says nothing about 5 of 5: 'grass', 'spoil heap', 'tree', 'geotextile', 'sheet pile'" in message
-    with pytest.raises(
-        InputError, match=r"nearest, rellis-3d, has no line for 2 of 4: 'spoil heap', 'geotextile'"
-    ) as r:
-        resolve(["grass", "spoil heap", "tree", "geotextile"])
-    assert '--map "spoil heap=TASK_CLASS"' in str(r.value)
+    assert "goose-64 says nothing about 5 of 5: 'grass', 'sphagnum', 'tree', 'zeppelin', 'sheet pile'" in message
+    with pytest.raises(InputError, match=r"nearest, rellis-3d, has no line for 2 of 4: 'sphagnum', 'zeppelin'") as r:
+        resolve(["grass", "sphagnum", "tree", "zeppelin"])
+    assert '--map "sphagnum=TASK_CLASS"' in str(r.value)
 
 
 def test_the_users_own_lines_stand_above_the_mapping():
-    remap = parse_remap(
-        ["spoil heap=construction_terrain", "geotextile=nothing", "grass=other_terrain:0.5+obstacle:0.5"]
-    )
-    found = resolve(["grass", "spoil heap", "tree", "geotextile"], remap=remap)
+    remap = parse_remap(["sphagnum=construction_terrain", "zeppelin=nothing", "grass=other_terrain:0.5+obstacle:0.5"])
+    found = resolve(["grass", "sphagnum", "tree", "zeppelin"], remap=remap)
     np.testing.assert_array_equal(found.weights, [(OT + OB) / 2, CT, RC, 0 * CT])
     assert found.policy == (
-        "diggable; geotextile=nothing; grass=other_terrain:0.5+obstacle:0.5; spoil heap=construction_terrain"
+        "diggable; grass=other_terrain:0.5+obstacle:0.5; sphagnum=construction_terrain; zeppelin=nothing"
     )
 
 
