@@ -1,0 +1,1 @@
+"""Finished reconstructions of other programs: their files -> observations (readers: backbones/reconstructors)."""
