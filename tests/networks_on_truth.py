@@ -29,7 +29,7 @@ def photos(width: int, height: int, views: int = 3):
     The principal point lies half a pixel beyond the middle, at (W + 1) / 2: the only one that a network can mean which
     delivers W / 2 and counts pixel centres at whole numbers.
     """
-    cameras = orbit(views * 3, width=width + 1, aspect=1.0)[:views]
+    cameras = orbit(18, width=width + 1, aspect=1.0)[:views]
     cameras = [Camera(width + 1, height + 1, camera.focal, camera.T_M_cam) for camera in cameras]
     rendered = [render_view(SITE, camera, samples=1) for camera in cameras]
     images = np.stack([view.image[:height, :width] for view in rendered])
@@ -37,11 +37,11 @@ def photos(width: int, height: int, views: int = 3):
     return images, depth, np.stack([camera.T_M_cam for camera in cameras]), np.stack([c.K_cam for c in cameras])
 
 
-def truth_on_lattice(width: int, height: int, long_side: int, multiple: int = 14, mode: str = "crop"):
+def truth_on_lattice(width: int, height: int, long_side: int, multiple: int = 14, mode: str = "crop", views: int = 3):
     """Truth (see ``stand_ins/rendered_truth``) of photos of a size, brought onto a lattice as the driver does."""
     from rendered_truth import Truth
 
-    images, depth, T, K = photos(width, height)
+    images, depth, T, K = photos(width, height, views)
     onto: Fit = fit((width, height), lattice_shape((width, height), long_side, multiple, mode), mode)
     assert onto.resized == (width, height), "the truth cannot be resampled exactly"
     moved = np.vstack([onto.affine, [0, 0, 1]]) @ K

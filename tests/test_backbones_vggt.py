@@ -6,18 +6,24 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from excavatwin.backbones.device import Device
 from excavatwin.backbones.reconstructors import vggt as adapter
 from excavatwin.backbones.reconstructors.unprojection import rigid
 from excavatwin.backbones.reconstructors.vggt import Vggt
+from excavatwin.backbones.sequence.chunking import Chunking
+from excavatwin.capture import find_photos
 from excavatwin.errors import InputError, MissingExtraError
+from excavatwin.scene.frames import umeyama
+from excavatwin.scene.progress import silent
 
 torch = pytest.importorskip("torch", reason="needs torch: make test-backbones")
 pytest.importorskip("safetensors", reason="needs safetensors: make test-backbones")
 
 from networks_on_truth import (  # noqa: E402
     assert_true,
+    photos,
     stand_ins,
     swapped_channels,
     truth_on_lattice,
@@ -96,3 +102,28 @@ def test_when_weights_are_missing_size_and_licence_are_given(monkeypatch, tmp_pa
     monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path))
     with pytest.raises(InputError, match=r"facebook/VGGT-1B, 5\.0 GB, licence CC-BY-NC-4\.0, not for commercial use"):
         Vggt().open()
+
+
+def test_photos_become_observations_in_chunks(tmp_path, monkeypatch):
+    """Through the whole driver: photos that do not fit the lattice are cropped, three chunks are put together."""
+    truth = truth_on_lattice(140, 118, 140, views=6)
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    images = photos(140, 118, 6)[0]
+    for s, image in enumerate(images):
+        Image.fromarray(image).save(folder / f"{s}.png")
+    settings = Chunking(size=4, shared=3)
+    network = Vggt(weights=weights_folder(tmp_path / "w", truth, SETTINGS), device=CPU, lattice=140, chunking=settings)
+    (tmp_path / "scratch").mkdir()
+    found = network(find_photos(folder), silent, tmp_path / "scratch")
+    assert len(found.views) == 6
+    known = np.stack([truth.points(s) for s in range(6)])
+    there = np.stack([view.points for view in found.views])
+    use = np.isfinite(known).all(-1) & np.isfinite(there).all(-1)
+    assert use.mean() > 0.9
+    s, R, t = umeyama(there[use][::31].astype(float), known[use][::31], np.ones(len(there[use][::31])))
+    assert np.linalg.norm(s * there[use] @ R.T + t - known[use], axis=-1).max() < 0.02
+    for view, K in zip(found.views, truth.K, strict=True):
+        assert view.lattice is not None
+        assert np.allclose(view.K_cam, K, rtol=1e-3, atol=0.05)
+        assert np.allclose(view.lattice.K_photo[:2, 2], (70.5, 59.5), atol=0.05), "the middle of the photo, and a half"
