@@ -18,7 +18,8 @@ from excavatwin.backbones.segmenters.resized import Resized
 if TYPE_CHECKING:
     from torch import Tensor
 
-_LICENCE = "other on the hub; CC-BY-NC-4.0 in the authors' model zoo"
+#: By the authors' MODEL_ZOO.md; the hub says "other".
+_LICENCE = "CC-BY-NC-4.0"
 
 
 @dataclass(frozen=True)

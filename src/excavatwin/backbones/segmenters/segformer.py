@@ -18,7 +18,8 @@ from excavatwin.backbones.segmenters.resized import Resized
 if TYPE_CHECKING:
     from torch import Tensor
 
-_LICENCE = "other (NVIDIA Source Code License for SegFormer: research and evaluation only)"
+#: Research and evaluation only; the hub says "other".
+_LICENCE = "NVIDIA Source Code License for SegFormer"
 #: The larger sets are on the hub as a pickle only.
 _FILES = ("*.safetensors", "pytorch_model.bin", "*.json")
 
