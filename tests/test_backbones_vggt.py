@@ -50,7 +50,7 @@ def _stand_ins(request):
     ids=["width 518, cropped", "padded to 518 x 518", "portrait"],
 )
 def test_prediction_is_the_truth(tmp_path, size, shape, mode):
-    truth = truth_on_lattice(*size, 518, mode=mode)
+    truth = truth_on_lattice(*size, 518, mode=mode, views=2)
     assert truth.pictures.shape[1:3] == shape
     network = Vggt(weights=weights_folder(tmp_path, truth, SETTINGS), device=CPU).open()
     prediction = network(truth.pictures)
