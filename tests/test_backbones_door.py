@@ -122,7 +122,7 @@ def test_without_consent_nothing_is_fetched(hub: Path, monkeypatch: pytest.Monke
     fetched: list[str] = []
     monkeypatch.setattr(weights, "download", lambda one: fetched.append(one.repo) or put(hub, one.repo))
     asked: list[str] = []
-    with pytest.raises(InputError, match=r"2\.5 GB, licence CC-BY-NC-4\.0, not for commercial use.*--download"):
+    with pytest.raises(InputError, match=r"2\.5 GB, licence CC-BY-NC-4\.0, which restricts commercial use.*--download"):
         weights.provide(NETWORK, "", lambda question: bool(asked.append(question)))
     assert not fetched
     assert "lab/seer-large, 2.5 GB" in asked[0]
@@ -147,7 +147,7 @@ def test_everything_is_refused_before_anything_is_asked(hub: Path) -> None:
 
 
 def test_terms_are_said_for_code_and_weights() -> None:
-    assert restrictions(NETWORK) == ["seer: its weights lab/seer-large are under CC-BY-NC-4.0: no commercial use."]
+    assert restrictions(NETWORK) == ["seer: its weights lab/seer-large are under CC-BY-NC-4.0; see to its terms."]
     assert restrictions(NETWORK, "lab/seer-small") == []
     strict = Card("yolo", "segmenter", "", Tried.REAL_CODE, licence="AGPL-3.0", commercial=False)
     assert "AGPL-3.0" in " ".join(restrictions(strict))

@@ -107,9 +107,9 @@ def download(one: Weights) -> Path:
 
 
 def described(one: Weights) -> str:
-    """``"facebook/VGGT-1B, 5.0 GB, CC-BY-NC-4.0, not for commercial use"``."""
+    """``"facebook/VGGT-1B, 5.0 GB, CC-BY-NC-4.0, which restricts commercial use"``."""
     size = "size unknown" if math.isnan(one.size) else f"{one.size / 1e9:.1f} GB"
-    terms = "" if one.commercial else ", not for commercial use" if one.licence != "unknown to us" else ""
+    terms = "" if one.commercial else ", which restricts commercial use" if one.licence != "unknown to us" else ""
     return f"{one.repo}, {size}, licence {one.licence}{terms}"
 
 

@@ -41,5 +41,5 @@ def restrictions(card: Card, wanted: str = "") -> list[str]:
         if weights.is_path(wanted):
             found.append(f"{card.name}: the terms of the weights in {wanted} are not known to us; see to them.")
         elif not one.commercial:
-            found.append(f"{card.name}: its weights {one.repo} are under {one.licence}, no commercial use.")
+            found.append(f"{card.name}: its weights {one.repo} are under {one.licence}; see to its terms.")
     return found
