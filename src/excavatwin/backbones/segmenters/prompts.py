@@ -20,7 +20,8 @@ from excavatwin.scene.taxonomy import TASK_CLASSES, K, class_name
 NO_SURFACE, NOTHING = K, K + 1
 CHANNELS = K + 2
 
-_KEYS = {class_name(one): one - 1 for one in TASK_CLASSES} | {"no_surface": NO_SURFACE, "nothing": NOTHING}
+#: Key of a prompts file -> channel.
+KEYS = {class_name(one): one - 1 for one in TASK_CLASSES} | {"no_surface": NO_SURFACE, "nothing": NOTHING}
 
 
 @dataclass(frozen=True)
@@ -84,18 +85,23 @@ def read_prompts(source: str) -> Prompts:
     votes: list[Float32[np.ndarray, "C"]] = []
     owners: dict[str, str] = {}
     for key, value in lists.items():
-        if key not in _KEYS:
-            raise InputError(f"prompts {source}: {key!r} is not a task class; there are: {', '.join(_KEYS)}.")
+        if key not in KEYS:
+            raise InputError(f"prompts {source}: {key!r} is not a task class; there are: {', '.join(KEYS)}.")
         for text, weight in _entries(key, value, source):
             plain = " ".join(text.lower().split())
             if plain in owners:
                 raise InputError(f"prompts {source}: {text!r} stands for {owners[plain]} and for {key}; keep one.")
             owners[plain] = key
             texts.append(" ".join(text.split()))
-            vote = np.zeros(CHANNELS, np.float32)
-            vote[_KEYS[key]] = weight
-            votes.append(vote)
+            votes.append(votes_for(key, weight))
     return Prompts(str(table.get("name", Path(source).stem)), tuple(texts), np.stack(votes))
+
+
+def votes_for(key: str, weight: float = 1.0) -> Float32[np.ndarray, "C"]:
+    """The vote of a prompt for one channel, by its key (``excavator``, ``no_surface``, ...)."""
+    votes = np.zeros(CHANNELS, np.float32)
+    votes[KEYS[key]] = weight
+    return votes
 
 
 def _entries(key: str, value: Any, source: str) -> Iterator[tuple[str, float]]:
