@@ -28,27 +28,27 @@ def segment(
     at: Workplace,
 ) -> Observations:
     """The observations with evidence; sky and water lose their points."""
-    stages = {name: _stage(model) for name, model in segmenters.items()}
     paths = {photo.name: photo.path for photo in photos}
-    views: list[View] = []
-    total = len(obs.views) * len(segmenters)
+    seen: list[dict[str, Segmentation]] = [{} for _ in obs.views]
     doubts: Counter[str] = Counter()
+    done, total = 0, len(obs.views) * len(segmenters)
     with at.journal.stage("segment") as row:
         row["cached"] = 0
-        for view in obs.views:
-            seen: dict[str, Segmentation] = {}
-            for name, model in segmenters.items():
-                at.progress("segment", len(views) * len(segmenters) + len(seen), total)
-                seen[name], hit = _one(_picture(view, paths), model, at.cache, stages[name])
+        for name, model in segmenters.items():  # one after the other: networks need not be in memory together
+            stage = _stage(model)
+            for view, of_view in zip(obs.views, seen, strict=True):
+                at.progress("segment", done, total)
+                of_view[name], hit = _one(_picture(view, paths), model, at.cache, stage)
                 row["cached"] += hit
-                doubts.update(f"Segmenter {name}: {sentence}" for sentence in seen[name].doubts)
-            views.append(_given(view, merging(seen)))
+                done += 1
+                doubts.update(f"Segmenter {name}: {sentence}" for sentence in of_view[name].doubts)
+        views = tuple(_given(view, merging(of_view)) for view, of_view in zip(obs.views, seen, strict=True))
         at.progress("segment", total, total)
         row["photos"] = total
         at.cache.prune("segment", 2 * len(segmenters))
     at.journal.note(*(f"{text} ({n} of {len(views)} photos)" for text, n in sorted(doubts.items())))
     source = obs.source | {"segmenter": " + ".join(segmenters)}
-    return replace(obs, views=tuple(views), source=source)
+    return replace(obs, views=views, source=source)
 
 
 def _stage(model: Segmenter) -> str:
