@@ -141,7 +141,7 @@ def _unpickled(file: Path, trusted: bool) -> Any:
     try:
         checkpoint, _ = torch_safe_load(str(file), safe_only=not trusted)
     except Exception as error:  # whatever the library raises, the file cannot be used
-        advice = "download it again" if trusted else "if you trust its origin, set --yoloe.trusted yes"
+        advice = "download it again" if trusted else "if you trust its origin, set --yoloe.trusted true"
         raise InputError(f"{file} cannot be opened ({_first_line(error)}); {advice}.") from error
     return checkpoint.get("ema") or checkpoint.get("model")
 

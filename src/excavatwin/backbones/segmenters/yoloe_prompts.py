@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float64, UInt8
 
 from excavatwin.backbones import lattices
 from excavatwin.backbones.segmenters import sight, yoloe_network
@@ -128,7 +128,7 @@ def referenced(network: Any, file: Path, stamp: str, long_side: int) -> tuple[Pr
     Args:
         network: from ``yoloe_network.opened``.
         file: the TOML file.
-        stamp: fingerprint of it and of its photos, so that changed ones are read anew.
+        stamp: fingerprint of it and its photos.
         long_side: of what the network sees [px].
 
     Raises:
@@ -138,9 +138,7 @@ def referenced(network: Any, file: Path, stamp: str, long_side: int) -> tuple[Pr
     from ultralytics.data.augment import LoadVisualPrompt
 
     device = next(network.parameters()).device
-    texts: list[str] = []
-    votes: list[Float32[np.ndarray, "C"]] = []
-    parts: list[Any] = []
+    texts, votes, parts = [], [], []
     for path, marked in read_references(file):
         image = _image(path)
         fit = sight.letterbox((image.shape[1], image.shape[0]), long_side, 32)
@@ -155,8 +153,7 @@ def referenced(network: Any, file: Path, stamp: str, long_side: int) -> tuple[Pr
             texts.append(f"{key} in {path.name}")
             votes.append(votes_for(key))
         pixels = lattices.normalised(sight.shown(image, fit, 114, smooth=False))
-        given = masks[None].to(device), torch.from_numpy(pixels)[None].to(device)
-        parts.append(network(given[1], vpe=given[0], return_vpe=True))
+        parts.append(network(torch.from_numpy(pixels)[None].to(device), vpe=masks[None].to(device), return_vpe=True))
     return Prompts(f"references {file.name}", tuple(texts), np.stack(votes)), torch.cat(parts, 1)
 
 
