@@ -325,6 +325,26 @@ def test_observations_survive_the_cache(tmp_path: Path) -> None:
     assert (back.georeference, back.metres_per_unit, back.source) == (obs.georeference, 2.5, obs.source)
 
 
+def test_views_on_disk_stay_on_disk_and_keep_their_names(tmp_path: Path) -> None:
+    view = small_view("a.jpg")
+    for name in ("points", "confidence"):
+        np.save(tmp_path / f"{name}.npy", getattr(view, name))
+    layers = {name: np.load(tmp_path / f"{name}.npy", mmap_mode="r") for name in ("points", "confidence")}
+    records.write_observations(Observations((replace(view, **layers),)), tmp_path)
+    back = records.read_observations(tmp_path).views[0]
+    assert back.name == "a.jpg"
+    assert isinstance(back.points, np.memmap)
+    np.testing.assert_array_equal(back.points, view.points)
+    np.testing.assert_array_equal(back.confidence, view.confidence)
+
+
+def test_a_segmenter_that_sees_nothing_is_named(photos: Path) -> None:
+    assert any(
+        "gave no evidence" in w for w in run(photos, FakePlan(segmenters={"f": FakeAppearance(0.0)})).run["warnings"]
+    )
+    assert not any("gave no evidence" in w for w in run(photos).run["warnings"])
+
+
 def test_memory_is_estimated_before_it_runs_out(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need = memory.estimate(4, 8, 0.75)
     monkeypatch.setattr(memory, "available", lambda: need * 0.8)

@@ -89,8 +89,8 @@ def read_observations(folder: Path) -> Observations:
 def _read_view(path: Path, name: str) -> View:
     with path.open("rb") as raw, np.load(raw) as file:  # numpy leaks the handle of a broken archive
         a = {key: file[key] for key in file.files}
-    for name in {"points", "confidence"} - a.keys():
-        a[name] = np.load(path.with_name(f"{path.stem}.{name}.npy"), mmap_mode="r")
+    for layer in {"points", "confidence"} - a.keys():
+        a[layer] = np.load(path.with_name(f"{path.stem}.{layer}.npy"), mmap_mode="r")
     lattice = None
     if "affine" in a:
         k1, k2, p1, p2 = (float(value) for value in a["distortion"])

@@ -42,6 +42,8 @@ def segment(
                 row["cached"] += hit
                 done += 1
                 doubts.update(f"Segmenter {name}: {sentence}" for sentence in of_view[name].doubts)
+            if not any(of_view[name].evidence.any() for of_view in seen):
+                at.journal.note(f"Segmenter {name} gave no evidence for any of the {len(seen)} photos.")
         views = tuple(_given(view, merging(of_view)) for view, of_view in zip(obs.views, seen, strict=True))
         at.progress("segment", total, total)
         row["photos"] = total
