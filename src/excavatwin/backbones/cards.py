@@ -60,6 +60,8 @@ class Card:
     """The exact line that installs them; empty when nothing is needed."""
     weights: tuple[Weights, ...] = ()
     """Sets that are known to fit, the default first; empty when it needs none."""
+    weight_fields: tuple[str, ...] = ("weights",)
+    """Fields that name weights, when it needs more than one set at a time."""
     argument: str = ""
     """Field that ``name:VALUE`` on the command line sets (weights, folder or file); empty when there is none."""
     metric: bool = False

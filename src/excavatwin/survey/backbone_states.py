@@ -76,7 +76,8 @@ def states(kind: catalogue.Kind) -> Iterator[BackboneState]:
 def state_of(entry: Entry) -> BackboneState:
     """One backbone; nothing of its library is imported."""
     card = entry.card()
-    here = weights.find(card) is not None if card.weights else None
+    wanted = [str(getattr(entry.load(), field, "")) for field in card.weight_fields]
+    here = all(weights.find(card, one) is not None for one in wanted) if card.weights else None
     return BackboneState(card, entry.package, extras.missing(card), here, _memory(entry))
 
 

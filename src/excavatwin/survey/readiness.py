@@ -24,11 +24,12 @@ def make_ready(backbones: Sequence[Backbone], consent: Consent) -> list[str]:
         extras.need(backbone.card)
     terms = []
     for backbone in backbones:
-        wanted = str(getattr(backbone, "weights", ""))
+        wanted = [str(getattr(backbone, field, "")) for field in backbone.card.weight_fields]
         if backbone.card.weights:
-            weights.provide(backbone.card, wanted, consent)
-        terms += restrictions(backbone.card, wanted)
-    return terms
+            for one in wanted:
+                weights.provide(backbone.card, one, consent)
+        terms += [sentence for one in wanted for sentence in restrictions(backbone.card, one)]
+    return list(dict.fromkeys(terms))
 
 
 def restrictions(card: Card, wanted: str = "") -> list[str]:

@@ -44,6 +44,7 @@ class GroundedSam:
             Weights("facebook/sam2.1-hiera-large", 8.98e8, "Apache-2.0", True),
             Weights("facebook/sam-vit-base", 3.75e8, "Apache-2.0", True),
         ),
+        weight_fields=("weights", "mask_weights"),
         argument="weights",
         source="https://github.com/IDEA-Research/Grounded-Segment-Anything",
     )
