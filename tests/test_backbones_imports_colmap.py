@@ -134,7 +134,7 @@ def test_units_of_the_model_are_the_users_to_say(opencv):
     obs = Colmap(source=str(ws), up="-z", metres_per_unit=0.5)(photos)
     assert obs.metres_per_unit == 0.5
     assert np.array_equal(obs.up, (0, 0, -1))
-    assert obs.source["gravity"] == "files"
+    assert obs.source["gravity"] == "the reconstruction's files"
 
 
 @pytest.mark.parametrize("given", ["undistorted", "dense folder", "small maps", "photometric", "missing map"])

@@ -97,6 +97,8 @@ def _elevation(m: ElevationMap) -> str:
 def _scale(m: ElevationMap) -> str:
     if m.georeference:
         known = m.georeference
+        if np.isnan(known.residual):
+            return f"metres, EPSG:{known.epsg}, as the files of the reconstruction say; the photos carry no GPS"
         return f"metres, EPSG:{known.epsg}; camera positions agree with GPS within {known.residual:.2f} m (RMS)"
     return "metres" if m.metric else "arbitrary unit: no metric scale is known"
 

@@ -36,8 +36,11 @@ def frame_sentence(elevation_map: ElevationMap) -> str:
     """What x, y and z mean, for people."""
     g = elevation_map.georeference
     if g is not None:
+        axes = f"x east, y north in EPSG:{g.epsg}, z up, metres"
+        if np.isnan(g.residual):
+            return f"{axes}; as in the files of the reconstruction; the photos carry no GPS to compare with"
         return (
-            f"x east, y north in EPSG:{g.epsg}, z up, metres; tied by GPS with a residual of {g.residual:.2f} m; "
+            f"{axes}; tied by GPS with a residual of {g.residual:.2f} m; "
             "the vertical datum is that of the photos' GPS altitude"
         )
     unit = "metres" if elevation_map.metric else ARBITRARY

@@ -86,7 +86,7 @@ class Georeference:
     origin: tuple[float, float, float]
     """Easting, northing and elevation of R's origin [m], float64: added only in writers."""
     residual: float
-    """RMS of the camera positions against their GPS positions [m]."""
+    """RMS of the camera positions against their GPS positions, NaN where the photos carry none [m]."""
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,11 @@ class Scene:
     """Kind of the confidence."""
     doubts: tuple[str, ...] = ()
 
+    @property
+    def splatted(self) -> bool:
+        """Whether depth comes from the cloud."""
+        return all(camera.depth is None for camera in self.cameras)
+
 
 def _lens_by_exif(photo: Photo) -> Lens:
     if photo.focal is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from jaxtyping import Float64
 from excavatwin.backbones.cards import Card
 from excavatwin.backbones.finished.found import FoundCamera, Scene
 from excavatwin.backbones.finished.lenses import Lens
-from excavatwin.backbones.finished.photo_matching import fitted, match
+from excavatwin.backbones.finished.photo_matching import Matches, fitted, match
 from excavatwin.backbones.finished.posed_depth import PosedPhoto, on_lattice, shelved, view_of
 from excavatwin.backbones.finished.splatting import Camera, surfels
 from excavatwin.backbones.finished.standing import as_found, by_photos
@@ -26,6 +25,7 @@ from excavatwin.scene.observations import Observations, Unplaced, View
 from excavatwin.scene.photo import Photo
 from excavatwin.scene.progress import Progress, silent
 
+Ready = tuple[FoundCamera, PosedPhoto]
 _AXES = {"x": 0, "y": 1, "z": 2}
 
 
@@ -82,41 +82,33 @@ class Finished(ABC):
         """
         if not photos:
             raise InputError(f"{self.card.name} was given no photos; give the folder of photos it was made from.")
-        source = self._existing()
-        scene = self._told(self.read(source))
-        matches = match([camera.name for camera in scene.cameras], photos, scene.where)
+        scene = self._told(self.read(self._existing()))
         origin = _origin(scene)
-        said: Counter[str] = Counter()
-        ready, unplaced = [], list(matches.unplaced)
-        splatted = all(camera.depth is None for camera in scene.cameras)
-        for photo, index in matches.pairs:
-            camera = scene.cameras[index]
-            if camera.depth is None and not splatted:
-                unplaced.append(Unplaced(photo.name, f"{camera.lack} in {scene.where}"))
-                continue
-            lens, doubt = fitted(camera.lens_of(photo), photo, scene.where)
-            said[doubt] += 1
-            ready.append((camera, PosedPhoto(photo, lens, _posed(camera.T_W_cam, lens, origin))))
-        if not ready:
-            raise InputError(f"none of the photos has a depth map in {scene.where}; make depth for these photos.")
-        see = self._through_cloud if splatted else self._through_maps
+        matches = match([camera.name for camera in scene.cameras], photos, scene.where)
+        ready, unplaced, said = _ready(scene, matches, origin)
         views = []
-        for number, (view, doubt) in enumerate(see(scene, origin, ready)):
+        see = self._through_cloud if scene.splatted else self._through_maps
+        for number, (view, doubt) in enumerate(see(scene, origin, ready, progress)):
             progress("read depth", number, len(ready))
-            said[doubt] += 1
+            said.append(doubt)
             views.append(view if scratch is None else shelved(view, scratch, number))
         progress("read depth", len(ready), len(ready))
         frame = as_found(scene, views, photos, origin) or by_photos(scene, views, photos)
-        doubts = (*scene.doubts, *matches.doubts, *(text for text in said if text), *frame.doubts)
-        depth = f"point cloud {scene.cloud.path}" if splatted and scene.cloud else "depth maps"
-        facts = {"reconstructor": self.card.name, "files": scene.where, "depth": depth, "confidence": scene.confidence}
-        facts |= {"gravity": frame.up_from, "origin": " ".join(f"{value:.10g}" for value in origin)}
-        tie = frame.georeference
-        obs = Observations(frame.views, frame.up, frame.metres_per_unit, tie, tuple(unplaced), doubts, facts)
+        said = [*scene.doubts, *matches.doubts, *dict.fromkeys(text for text in said if text), *frame.doubts]
+        facts = {
+            "reconstructor": self.card.name,
+            "files": scene.where,
+            "depth": f"point cloud {scene.cloud.path}" if scene.splatted and scene.cloud else "depth maps",
+            "confidence": scene.confidence,
+            "gravity": frame.up_from,
+            "origin": " ".join(f"{value:.10g}" for value in origin),
+        }
+        tie, without = frame.georeference, (*matches.unplaced, *unplaced)
+        obs = Observations(frame.views, frame.up, frame.metres_per_unit, tie, without, tuple(said), facts)
         return check(obs, scene.where)
 
     def _through_maps(
-        self, scene: Scene, origin: Float64[np.ndarray, "3"], ready: Sequence[tuple[FoundCamera, PosedPhoto]]
+        self, scene: Scene, origin: Float64[np.ndarray, "3"], ready: Sequence[Ready], progress: Progress
     ) -> Iterator[tuple[View, str]]:
         """Views from depth maps, one at a time, with what is to be said about each."""
         for camera, posed in ready:
@@ -127,7 +119,7 @@ class Finished(ABC):
             yield view_of(posed, lattice, K_cam, on, confidence), _lens_doubt(posed.lens, error)
 
     def _through_cloud(
-        self, scene: Scene, origin: Float64[np.ndarray, "3"], ready: Sequence[tuple[FoundCamera, PosedPhoto]]
+        self, scene: Scene, origin: Float64[np.ndarray, "3"], ready: Sequence[Ready], progress: Progress
     ) -> Iterator[tuple[View, str]]:
         """Views of a point cloud, one at a time, with what is to be said about each."""
         assert scene.cloud is not None
@@ -136,7 +128,9 @@ class Finished(ABC):
             Camera(K_cam, posed.T_R_cam, posed.shape(self.lattice))
             for (_, posed), (_, K_cam, _) in zip(ready, placed, strict=True)
         ]
+        progress("read cloud", 0, 1)
         cloud = surfels(scene.cloud, origin, cameras)
+        progress("read cloud", 1, 1)
         for (_, posed), (lattice, K_cam, error), camera in zip(ready, placed, cameras, strict=True):
             yield view_of(posed, lattice, K_cam, cloud.depth(camera)), _lens_doubt(posed.lens, error)
 
@@ -166,6 +160,24 @@ class Finished(ABC):
         files = [path] if path.is_file() else sorted({f for pattern in self.watched for f in path.rglob(pattern)})
         facts = [(f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files if f.is_file()]
         return hashlib.sha256(repr(facts).encode()).hexdigest()[:16]
+
+
+def _ready(
+    scene: Scene, matches: Matches, origin: Float64[np.ndarray, "3"]
+) -> tuple[list[Ready], list[Unplaced], list[str]]:
+    """Cameras with their photos, photos whose camera has no depth, and what was assumed."""
+    ready, unplaced, said = [], [], []
+    for photo, index in matches.pairs:
+        camera = scene.cameras[index]
+        if camera.depth is None and not scene.splatted:
+            unplaced.append(Unplaced(photo.name, f"{camera.lack} in {scene.where}"))
+            continue
+        lens, doubt = fitted(camera.lens_of(photo), photo, scene.where)
+        said.append(doubt)
+        ready.append((camera, PosedPhoto(photo, lens, _posed(camera.T_W_cam, lens, origin))))
+    if not ready:
+        raise InputError(f"none of the photos has a depth map in {scene.where}; make depth for these photos.")
+    return ready, unplaced, said
 
 
 def _origin(scene: Scene) -> Float64[np.ndarray, "3"]:

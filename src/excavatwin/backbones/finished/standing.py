@@ -37,10 +37,10 @@ def as_found(
         centres = {view.name: view.centre + origin for view in views}
         at = (float(origin[0]), float(origin[1]), float(origin[2]))
         tie = Georeference(scene.epsg, at, gps_residual(scene.epsg, centres, photos))
-        return Frame(tuple(views), np.array([0.0, 0.0, 1.0]), 1.0, tie, "files")
+        return Frame(tuple(views), np.array([0.0, 0.0, 1.0]), 1.0, tie, "the reconstruction's files")
     if scene.up is None:
         return None
-    return Frame(tuple(views), scene.up, scene.metres_per_unit, None, "files")
+    return Frame(tuple(views), scene.up, scene.metres_per_unit, None, "the reconstruction's files")
 
 
 def by_photos(scene: Scene, views: Sequence[View], photos: Sequence[Photo]) -> Frame:
