@@ -345,3 +345,44 @@ def test_points_land_on_their_pixels(tmp_path):
     away = replace(camera, T_R_cam=shot.T @ np.diag([1.0, -1, -1, 1]))
     with pytest.raises(InputError, match=r"no point of .* lies in any of the photos"):
         surfels(cloud, np.zeros(3), [away])
+
+
+def test_a_shelf_of_many_views_needs_few_open_files(tmp_path):
+    """More views than a program may hold files open; sizes differ, and one has no picture."""
+    resource = pytest.importorskip("resource", reason="limits of open files are a matter of Unix")
+
+    from excavatwin.backbones.finished.shelf import Shelf
+    from excavatwin.scene.observations import View
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    shelf = Shelf(tmp_path)
+    made = []
+    for number in range(200):
+        shape = (3 + number % 2, 4)
+        made.append(
+            View(
+                name=f"{number}",
+                points=RNG.random((*shape, 3)).astype(np.float32),
+                confidence=RNG.random(shape).astype(np.float32),
+                evidence=np.broadcast_to(np.float32(0), (*shape, 5)),
+                T_R_cam=np.eye(4),
+                K_cam=np.eye(3),
+                image=None if number == 7 else RNG.integers(0, 255, (*shape, 3), np.uint8),
+            )
+        )
+        shelf.add(made[-1])
+    resource.setrlimit(resource.RLIMIT_NOFILE, (100, hard))
+    try:
+        found = shelf.views()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert len(found) == 200
+    for view, true in zip(found, made, strict=True):
+        assert isinstance(view.points, np.memmap)
+        np.testing.assert_array_equal(view.points, true.points)
+        np.testing.assert_array_equal(view.confidence, true.confidence)
+        assert (view.image is None) == (true.image is None)
+        if true.image is not None:
+            np.testing.assert_array_equal(view.image, true.image)
+    found[3].points[:] = 1.0
+    assert (shelf.views()[3].points == 1).all()

@@ -260,3 +260,26 @@ def test_the_door_finds_it_and_scratch_holds_the_views(tmp_path, opencv):
     path = ws / "dense" / "stereo" / "depth_maps" / "shot_00.png.geometric.bin"
     path.write_bytes(path.read_bytes())
     assert model.identity() != before  # written again: another reconstruction
+
+
+@pytest.mark.parametrize("orientation", [3, 6, 8])
+def test_photos_that_are_stored_turned(tmp_path, orientation):
+    """COLMAP reads photos as they are stored; the views show them as their EXIF orientation says."""
+    intrinsics = spec("OPENCV", W, H, *MODELS["OPENCV"])
+    images = {shot.name: distorted(pycolmap.Camera(**intrinsics), shot) for shot in shots()}
+    photos = write_photos(tmp_path / "photos", images, orientation=orientation)
+    write_colmap(tmp_path / "ws" / "sparse" / "0", dict.fromkeys(POSES, intrinsics), POSES)
+    pycolmap.undistort_images(tmp_path / "ws" / "dense", tmp_path / "ws" / "sparse" / "0", tmp_path / "photos")
+    write_depth(tmp_path / "ws" / "dense")
+    obs = Colmap(source=str(tmp_path / "ws"), up="z")(photos)
+    for number, (view, photo, shot) in enumerate(zip(obs.views, photos, shots(), strict=True)):
+        assert view.shape == (photo.height, photo.width) == ((H, W) if orientation == 3 else (W, H))
+        turned = np.rot90(view.image, {3: 2, 6: 1, 8: 3}[orientation])
+        both = np.isfinite(np.rot90(view.points[..., 0], {3: 2, 6: 1, 8: 3}[orientation]))
+        assert np.abs(turned[both].astype(float) - shot.image[both]).mean() < 6
+        p = view.points[np.isfinite(view.points[..., 0])].astype(float)
+        inverse = invert_rigid(shot.T)
+        p_cam = p @ inverse[:3, :3].T + inverse[:3, 3]
+        error = np.abs(p_cam[:, 2] / true_depth(number, p_cam[:, :2] / p_cam[:, 2:]) - 1)
+        assert np.nanmedian(error) < 1e-3
+        assert len(p) > 0.8 * np.isfinite(shot.depth).sum()

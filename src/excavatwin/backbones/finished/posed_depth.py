@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
@@ -132,23 +131,6 @@ def resampled(
     inside = np.asarray(inside.reshape(H, 2, W, 2).all(axis=(1, 3)))
     image[~inside] = 0
     return image, inside
-
-
-def shelved(view: View, folder: Path, number: int) -> View:
-    """The view with its arrays in files of ``folder``, so that long sequences need little memory."""
-    return replace(
-        view,
-        points=_kept(view.points, folder / f"{number:05d}.points.npy"),
-        confidence=_kept(view.confidence, folder / f"{number:05d}.confidence.npy"),
-        image=None if view.image is None else _kept(view.image, folder / f"{number:05d}.image.npy"),
-    )
-
-
-def _kept(array: np.ndarray, path: Path) -> np.ndarray:
-    file = np.lib.format.open_memmap(path, "w+", array.dtype, array.shape)
-    file[:] = array
-    file.flush()
-    return file
 
 
 def _rays(shape: tuple[int, ...], K_cam: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "n 2"]:

@@ -16,7 +16,8 @@ from excavatwin.backbones.cards import Card
 from excavatwin.backbones.finished.found import FoundCamera, Scene
 from excavatwin.backbones.finished.lenses import Lens
 from excavatwin.backbones.finished.photo_matching import Matches, fitted, match
-from excavatwin.backbones.finished.posed_depth import PosedPhoto, on_lattice, shelved, view_of
+from excavatwin.backbones.finished.posed_depth import PosedPhoto, on_lattice, view_of
+from excavatwin.backbones.finished.shelf import Shelf
 from excavatwin.backbones.finished.splatting import Camera, surfels
 from excavatwin.backbones.finished.standing import as_found, by_photos
 from excavatwin.backbones.finished.verdict import check
@@ -86,13 +87,14 @@ class Finished(ABC):
         origin = _origin(scene)
         matches = match([camera.name for camera in scene.cameras], photos, scene.where)
         ready, unplaced, said = _ready(scene, matches, origin)
-        views = []
+        shelf = Shelf(scratch)
         see = self._through_cloud if scene.splatted else self._through_maps
         for number, (view, doubt) in enumerate(see(scene, origin, ready, progress)):
             progress("read depth", number, len(ready))
             said.append(doubt)
-            views.append(view if scratch is None else shelved(view, scratch, number))
+            shelf.add(view)
         progress("read depth", len(ready), len(ready))
+        views = shelf.views()
         frame = as_found(scene, views, photos, origin) or by_photos(scene, views, photos)
         said = [*scene.doubts, *matches.doubts, *dict.fromkeys(text for text in said if text), *frame.doubts]
         facts = {
