@@ -90,9 +90,11 @@ def consent(download: bool) -> Callable[[str], bool]:
     """Who answers when weights would have to be downloaded: the flag, a person at a terminal, or nobody (no)."""
 
     def ask(question: str) -> bool:
-        if download or not (sys.stdin.isatty() and sys.stderr.isatty()):
-            print(question if not download else question.rstrip("?") + ": yes (--download)", file=sys.stderr)
-            return download
+        if download:
+            print(f"{question.rstrip('?')}: yes (--download)", file=sys.stderr)
+            return True
+        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+            return False  # nobody there to ask; the refusal that follows says what could be done
         print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
         return sys.stdin.readline().strip().lower() in ("y", "yes")
 
