@@ -327,15 +327,24 @@ def test_observations_survive_the_cache(tmp_path: Path) -> None:
 
 def test_views_on_disk_stay_on_disk_and_keep_their_names(tmp_path: Path) -> None:
     view = small_view("a.jpg")
-    for name in ("points", "confidence"):
+    names = ("points", "confidence", "image")
+    for name in names:
         np.save(tmp_path / f"{name}.npy", getattr(view, name))
-    layers = {name: np.load(tmp_path / f"{name}.npy", mmap_mode="r") for name in ("points", "confidence")}
-    records.write_observations(Observations((replace(view, **layers),)), tmp_path)
-    back = records.read_observations(tmp_path).views[0]
-    assert back.name == "a.jpg"
-    assert isinstance(back.points, np.memmap)
-    np.testing.assert_array_equal(back.points, view.points)
-    np.testing.assert_array_equal(back.confidence, view.confidence)
+    layers = {name: np.load(tmp_path / f"{name}.npy", mmap_mode="r") for name in names}
+    mapped = replace(view, **layers)
+    plain = replace(view, name="b.jpg", image=None)
+    records.write_observations(Observations((mapped, plain, replace(mapped, name="c.jpg"))), tmp_path)
+    back = records.read_observations(tmp_path).views
+    assert [one.name for one in back] == ["a.jpg", "b.jpg", "c.jpg"]
+    for one in (back[0], back[2]):
+        assert isinstance(one.points, np.memmap)
+        for name in names:
+            np.testing.assert_array_equal(getattr(one, name), getattr(view, name))
+    assert back[1].image is None
+    np.testing.assert_array_equal(back[1].points, view.points)
+    (tmp_path / "points.bin").write_bytes((tmp_path / "points.bin").read_bytes()[:-4])
+    with pytest.raises(ValueError, match="reshape|were written"):
+        records.read_observations(tmp_path)
 
 
 def test_a_segmenter_that_sees_nothing_is_named(photos: Path) -> None:

@@ -17,6 +17,15 @@ from excavatwin.survey import fingerprint, records
 from excavatwin.survey.cache import StageCache
 from excavatwin.survey.journal import Journal
 
+#: Rooms whose code decides what a reconstructor delivers, besides its own.
+_SHARED = (
+    "excavatwin.backbones.sequence",
+    "excavatwin.backbones.finished",
+    "excavatwin.contract",
+    "excavatwin.kernels",
+    "excavatwin.geometry",
+)
+
 
 @dataclass(frozen=True)
 class Workplace:
@@ -38,7 +47,7 @@ def observe(model: Reconstructor, photos: Sequence[Photo], hashes: dict[str, str
     ]
     if isinstance(model, StagedReconstructor):
         return _in_two_steps(model, photos, inputs, at)
-    inputs += [fingerprint.of_code("excavatwin.backbones.sequence", "excavatwin.contract"), model]
+    inputs += [fingerprint.of_code(*_SHARED), model]
     key = fingerprint.key(*inputs)
     with at.journal.stage("reconstruct") as row:
         obs = at.cache.load("reconstruct", key, records.read_observations)

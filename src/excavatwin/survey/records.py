@@ -1,8 +1,10 @@
-"""How stage results lie in the cache: photos as JSON, observations as one ``.npz`` a view."""
+"""How stage results lie in the cache: photos as JSON, observations as one ``.npz`` a view, long ones memory-mapped."""
 
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,9 @@ from excavatwin.capture import Capture
 from excavatwin.scene.observations import Georeference, Lattice, Observations, Unplaced, View
 from excavatwin.scene.photo import Gimbal, GpsFix, Photo
 from excavatwin.scene.taxonomy import K
+
+#: Layers of long sequences that stay on disk: one file each, since every mapped file keeps a descriptor open.
+_LAYERS: dict[str, Any] = {"points": np.float32, "confidence": np.float32, "image": np.uint8}
 
 
 def write_capture(found: Capture, folder: Path) -> None:
@@ -49,24 +54,26 @@ def write_observations(obs: Observations, folder: Path) -> None:
         "doubts": list(obs.doubts),
         "source": dict(obs.source),
     }
+    mapped: dict[str, list[list[int]]] = {name: [] for name in _LAYERS}
     for index, view in enumerate(obs.views):
         arrays: dict[str, Any] = {}
-        for name, layer in (("points", view.points), ("confidence", view.confidence)):
-            if isinstance(layer, np.memmap):  # of a long sequence: it stays on disk
-                np.save(folder / f"{index:04d}.{name}.npy", layer)
-            else:
+        for name in _LAYERS:
+            layer = getattr(view, name)
+            if isinstance(layer, np.memmap):
+                with (folder / f"{name}.bin").open("ab") as file:
+                    file.write(np.ascontiguousarray(layer, _LAYERS[name]).data)
+            elif layer is not None:
                 arrays[name] = layer
+            mapped[name].append(list(layer.shape) if isinstance(layer, np.memmap) else [])
         arrays |= {"T_R_cam": view.T_R_cam, "K_cam": view.K_cam}
         if view.evidence.any():
             arrays["evidence"] = view.evidence
-        if view.image is not None:
-            arrays["image"] = view.image
         if view.lattice is not None:
             lattice = view.lattice
             arrays |= {"affine": lattice.affine, "K_photo": lattice.K_photo}
             arrays |= {"distortion": np.array(lattice.distortion), "size": np.array([lattice.width, lattice.height])}
         np.savez(folder / f"{index:04d}.npz", **arrays)
-    (folder / "observations.json").write_text(json.dumps(meta))
+    (folder / "observations.json").write_text(json.dumps(meta | {"mapped": mapped}))
 
 
 def read_observations(folder: Path) -> Observations:
@@ -75,8 +82,13 @@ def read_observations(folder: Path) -> Observations:
     georeference = meta["georeference"]
     if georeference:
         georeference = Georeference(**georeference | {"origin": tuple(georeference["origin"])})
+    layers = {name: _mapped(folder / f"{name}.bin", dtype, meta["mapped"][name]) for name, dtype in _LAYERS.items()}
+    views = []
+    for index, name in enumerate(meta["names"]):
+        on_disk = {key: parts[index] for key, parts in layers.items() if parts[index] is not None}
+        views.append(_read_view(folder / f"{index:04d}.npz", name, on_disk))
     return Observations(
-        views=tuple(_read_view(folder / f"{index:04d}.npz", name) for index, name in enumerate(meta["names"])),
+        views=tuple(views),
         up=None if meta["up"] is None else np.array(meta["up"]),
         metres_per_unit=meta["metres_per_unit"],
         georeference=georeference,
@@ -86,11 +98,25 @@ def read_observations(folder: Path) -> Observations:
     )
 
 
-def _read_view(path: Path, name: str) -> View:
+def _mapped(path: Path, dtype: Any, shapes: list[list[int]]) -> list[np.ndarray | None]:
+    """The parts of a file that belong to each view; None for views that keep this layer elsewhere."""
+    if not any(shapes):
+        return [None] * len(shapes)
+    whole = np.memmap(path, dtype, "r")
+    parts: list[np.ndarray | None] = []
+    start = 0
+    for shape in shapes:
+        stop = start + math.prod(shape) if shape else start
+        parts.append(whole[start:stop].reshape(shape) if shape else None)
+        start = stop
+    if start != len(whole):
+        raise ValueError(f"{path.name} holds {len(whole)} values where {start} were written")
+    return parts
+
+
+def _read_view(path: Path, name: str, mapped: Mapping[str, Any]) -> View:
     with path.open("rb") as raw, np.load(raw) as file:  # numpy leaks the handle of a broken archive
-        a = {key: file[key] for key in file.files}
-    for layer in {"points", "confidence"} - a.keys():
-        a[layer] = np.load(path.with_name(f"{path.stem}.{layer}.npy"), mmap_mode="r")
+        a = {key: file[key] for key in file.files} | dict(mapped)
     lattice = None
     if "affine" in a:
         k1, k2, p1, p2 = (float(value) for value in a["distortion"])
