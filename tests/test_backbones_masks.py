@@ -477,3 +477,27 @@ def test_true_labels_of_a_rendered_site_come_back(tmp_path):
     pure = (blocks == blocks[:, :1, :, :1]).all((1, 3))
     assert pure.mean() > 0.8
     np.testing.assert_array_equal(best[pure], blocks[:, 0, :, 0][pure])
+
+
+# --- the page -------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_has_every_key_of_the_toml_and_its_example_reads(tmp_path):
+    import re
+    from dataclasses import fields
+
+    from excavatwin.backbones.segmenters.onnx_description import Description, read_description
+
+    page = (Path(__file__).parents[1] / "docs" / "labels-and-onnx.md").read_text("utf-8")
+    keys = {one.name for one in fields(Description)} - {"ids"}
+    assert keys <= set(re.findall(r"\w+", page.partition("## Labels")[0]))
+    documented = re.findall(r"^\| (.+?) \|", page.partition("## Labels")[0], re.MULTILINE)
+    named = {key for row in documented for key in re.findall(r"`\[?(\w+)\]?`", row)}
+    assert named | {"model", "classes", "mean", "std"} == keys
+    example = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert example
+    (tmp_path / "terrain.toml").write_text(example.group(1))
+    (tmp_path / "terrain.onnx").touch()
+    assert read_description(tmp_path / "terrain.toml").classes == ("soil", "low_grass", "sky")
+    for option in re.findall(r"--masks\.(\w+)", page):
+        assert option in {one.name for one in fields(Masks)}

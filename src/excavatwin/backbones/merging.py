@@ -13,7 +13,7 @@ from excavatwin.errors import InputError
 from excavatwin.scene.taxonomy import K
 
 #: Weights are sought between its inverse and this: a channel is never silenced nor trusted without bound.
-FURTHEST = 8.0
+FURTHEST = 4.0
 #: Pixels of one class that are enough to tell the weights; evenly spaced over all pictures.
 ENOUGH = 20_000
 #: With fewer pixels of a class than this its weights stay 1.
@@ -88,7 +88,7 @@ def calibrate(
         truths: task class 1..5 of every pixel; other values are not used.
 
     Returns:
-        Weights for ``Merging``, between 1/8 and 8; 1 in channels of which the truth has too little to tell.
+        Weights for ``Merging``, between 1/4 and 4; 1 in channels of which the truth has too little to tell.
 
     Raises:
         InputError: no labelled pixel, or pictures seen by different segmenters.

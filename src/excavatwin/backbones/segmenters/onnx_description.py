@@ -153,7 +153,7 @@ def _table(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text("utf-8"))
     except (OSError, UnicodeDecodeError):
         raise InputError(
-            f"{str(path)!r} is not a readable file; give the TOML that describes an ONNX model (docs/backbones.md)."
+            f"{str(path)!r} is not a readable file; give the TOML of an ONNX model (docs/labels-and-onnx.md)."
         ) from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path} is not valid TOML: {error}.") from None
