@@ -42,7 +42,8 @@ def _run(words: list[str]) -> int:
     if "changes" in ignored:
         bound.arguments["changes"] = changes
     elif changes:
-        raise InputError("stage parameters belong to map, fuse, config, demo, evaluate, ablate or tables.")
+        known = "map, fuse, config, check-backbone, demo, evaluate, ablate or tables"
+        raise InputError(f"stage parameters belong to {known}.")
     result = command(*bound.args, **bound.kwargs)
     return result if isinstance(result, int) else 0
 

@@ -82,6 +82,19 @@ Examples:
   excavatwin backbones vggt                    # all about one
   excavatwin backbones --json                  # for programs"""
 
+CHECK_BACKBONE = """\
+Is a backbone wired up right? The conformance suite, row by row.
+
+Card, parameters, output contract, conventions of poses and pixels, odd photos,
+no network. Without --photos a small site is rendered, and reconstructors are
+compared with its exact truth. Exit code 2 when a promise is broken."""
+
+CHECK_BACKBONE_EXAMPLES = """\
+Examples:
+  excavatwin check-backbone photogrammetry
+  excavatwin check-backbone mask2former:weights/ --mask2former.device.name cpu
+  excavatwin check-backbone colmap:workspace/ --photos photos/"""
+
 DOCTOR = "What is installed, what each backbone needs, and the memory for N photos."
 
 DOCTOR_EXAMPLES = """\
@@ -213,6 +226,7 @@ _register("mapping:fuse_command", "fuse", FUSE, FUSE_EXAMPLES)
 _register("reference_pages:layers_command", "layers", "What is in a map: layers, classes, reasons, with their ids.")
 _register("reference_pages:config_command", "config", CONFIG, CONFIG_EXAMPLES)
 _register("backbones:backbones_command", "backbones", BACKBONES, BACKBONES_EXAMPLES)
+_register("check_backbone:check_backbone_command", "check-backbone", CHECK_BACKBONE, CHECK_BACKBONE_EXAMPLES)
 _register("doctor:doctor_command", "doctor", DOCTOR, DOCTOR_EXAMPLES)
 _register("demo:demo_command", "demo", DEMO, DEMO_EXAMPLES)
 _register("datasets:datasets_command", "datasets", DATASETS, DATASETS_EXAMPLES)

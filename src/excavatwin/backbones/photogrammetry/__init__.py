@@ -116,6 +116,7 @@ class Photogrammetry:
                 "reconstructor": "photogrammetry",
                 "gravity": placement.up_from,
                 "calibration": placement.calibration,
+                "confidence": "photos that agree",
                 **placement.source,
             },
         )
