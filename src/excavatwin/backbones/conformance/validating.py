@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from excavatwin.contract.borders import borders
-from excavatwin.contract.cameras import intrinsics, units
-from excavatwin.contract.confidence import confidences
 from excavatwin.contract.evidence import evidence_range
 from excavatwin.contract.findings import Finding
 from excavatwin.contract.pictures import Photos, pictures
-from excavatwin.contract.views import crossed
+from excavatwin.contract.validation import validate
 from excavatwin.scene.observations import Observations, View
 
 
 def of_geometry(observations: Observations) -> tuple[Finding, ...]:
-    """Cameras, units, agreement of the views, confidence."""
-    views = observations.views
-    return (*intrinsics(views), *units(observations), *crossed(views), *confidences(observations))
+    """Cameras, units, agreement of the views, confidence: all that needs no photo."""
+    return validate(observations)
 
 
 def of_pictures(observations: Observations, photos: Photos) -> tuple[Finding, ...]:
