@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Integer, UInt8
 
+from excavatwin.contract.labels import label_mistakes
 from excavatwin.errors import ObservationError
 
 #: How far a rotation may be from orthonormal (float32 chains of rotations reach 1e-5).
@@ -93,6 +94,8 @@ def checked_labels(
     """Label image (H, W) whose values are among ``ids``, or 255 = not segmented."""
     if labels.dtype.kind not in "iu":
         raise ObservationError(f"{where}: labels has dtype {labels.dtype}; expected whole numbers such as uint8.")
+    if labels.ndim == 3:
+        raise ObservationError(f"{where}: {label_mistakes(labels, ids)[0]}")
     if labels.shape != shape:
         raise ObservationError(
             f"{where}: labels is {' x '.join(map(str, labels.shape))} but its points are {shape[0]} x {shape[1]} "
@@ -102,8 +105,10 @@ def checked_labels(
     strange = [int(v) for v in np.unique(labels) if int(v) not in ids and int(v) != 255]
     if strange:
         at = labels == strange[0]
+        cause = "".join(f"; most likely {mistake.cause}" for mistake in label_mistakes(labels, ids))
         raise ObservationError(
-            f"{where}: labels holds {strange[0]} at {_count(at)}, {_first(at)}; expected {meaning}, or 255 = none."
+            f"{where}: labels holds {strange[0]} at {_count(at)}, {_first(at)}; expected {meaning}, or 255 = none"
+            f"{cause}."
         )
     return labels
 
