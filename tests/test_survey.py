@@ -20,7 +20,7 @@ from PIL import Image
 from excavatwin.backbones.cards import Card, Tried
 from excavatwin.backbones.merging import Merging
 from excavatwin.backbones.protocols import Picture, Segmentation
-from excavatwin.errors import InputError, OutputError
+from excavatwin.errors import InputError, ObservationError, OutputError
 from excavatwin.geometry.scale import Reference, Scale
 from excavatwin.scene.elevation_map import LAYERS, ElevationMap
 from excavatwin.scene.grid import Grid
@@ -139,6 +139,7 @@ def photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(photos: Path, plan: FakePlan | None = None, **options: Any) -> Site:
+    options = {"force": True} | options  # what the fakes deliver would not pass the validator
     return map_photos(photos, photos.parent / "site", plan=plan or FakePlan(), **options)  # type: ignore[arg-type]
 
 
@@ -178,6 +179,13 @@ def test_a_parameter_repeats_its_stage_and_those_after_it(photos: Path, change: 
     CALLS.clear()
     run(photos)  # the entry before is kept: going back is free
     assert CALLS == {"fuse": 1}
+
+
+def test_what_a_backbone_delivers_is_validated_before_it_is_fused(photos: Path) -> None:
+    with pytest.raises(ObservationError, match="--force"):
+        run(photos, force=False)
+    assert not CALLS["segment"]
+    assert run(photos).run["stages"]["validate"]["findings"] > 0
 
 
 def test_changed_photo_is_noticed(photos: Path) -> None:
@@ -343,7 +351,7 @@ def test_views_on_disk_stay_on_disk_and_keep_their_names(tmp_path: Path) -> None
     assert back[1].image is None
     np.testing.assert_array_equal(back[1].points, view.points)
     (tmp_path / "points.bin").write_bytes((tmp_path / "points.bin").read_bytes()[:-4])
-    with pytest.raises(ValueError, match="reshape|were written"):
+    with pytest.raises(ValueError, match=r"reshape|were written"):
         records.read_observations(tmp_path)
 
 

@@ -28,6 +28,7 @@ def map_command(
     config: Config = None,
     download: Annotated[bool, Parameter(negative="")] = False,
     fresh: Annotated[bool, Parameter(negative="")] = False,
+    force: Annotated[bool, Parameter(negative="")] = False,
     changes: Changes = None,
 ) -> None:
     """Map a folder of photos (JPEG, PNG, TIFF) or a video, and write the SITE folder.
@@ -53,6 +54,8 @@ def map_command(
         Fetch missing weights from the hub; without it nothing is downloaded unless you say yes when asked.
     fresh
         Forget the finished stages of earlier runs.
+    force
+        Go on although what the backbones delivered breaks a convention.
     """
     from excavatwin.cli.console import consent, shown_progress
     from excavatwin.cli.summary import say_result
@@ -68,6 +71,7 @@ def map_command(
             progress=progress,
             fresh=fresh,
             consent=consent(download),
+            force=force,
         )
     words = [f"--reconstructor {reconstructor}"] if reconstructor else []
     words += [f"--segmenter {one}" for one in segmenter or ()] + [f'--map "{one}"' for one in remap or ()]

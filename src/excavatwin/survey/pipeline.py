@@ -21,6 +21,7 @@ from excavatwin.survey.journal import Journal
 from excavatwin.survey.observing import Workplace, observe
 from excavatwin.survey.readiness import make_ready
 from excavatwin.survey.segmenting import segment
+from excavatwin.survey.validating import check_evidence, check_geometry
 
 if TYPE_CHECKING:
     from excavatwin.geometry.scale import Reference
@@ -36,6 +37,7 @@ def map_photos(
     progress: Progress = silent,
     fresh: bool = False,
     consent: Consent = refuse,
+    force: bool = False,
 ) -> Site:
     """Map a folder of photos, or a video, and write the SITE folder.
 
@@ -50,10 +52,12 @@ def map_photos(
         progress: told which stage is at work.
         fresh: forget all cached stages first.
         consent: asked before weights are downloaded; by default nothing is ever downloaded.
+        force: go on although what the backbones delivered breaks a convention.
 
     Raises:
         MissingExtraError: the library of a chosen backbone is not installed.
         InputError: the photos, the video or a parameter cannot be used, or weights are not on this machine.
+        ObservationError: what a backbone delivered breaks a convention; the message names the mistake.
         ReconstructionError: no trustworthy geometry came out of the photos.
         OutputError: the SITE cannot be written.
     """
@@ -72,8 +76,10 @@ def map_photos(
         hashes = fingerprint.of_files([photo.path for photo in found.photos], progress)
         at = Workplace(cache, journal, progress)
         obs = observe(plan.reconstructor, found.photos, hashes, at)
+        check_geometry(obs, found.photos, plan, journal, force)
         obs = replace(obs, unplaced=(*found.skipped, *obs.unplaced))
         obs = segment(obs, found.photos, plan.segmenters, plan.merging, at)
+        check_evidence(obs, plan, journal, force)
         journal.note(*cache.notes)
         facts = {"input": {"source": str(source), "files": hashes}, "config": fingerprint.plain(plan), "terms": terms}
         return _fuse(obs, folder, plan, journal, progress, facts)
