@@ -64,7 +64,9 @@ def _coloured(labels: Shaped[np.ndarray, "H W c"], where: str) -> Finding:
     same = bool((labels[..., :1] == labels[..., :3]).all())
     if same:
         return refusal(
-            f"{where} has {labels.shape[-1]} equal channels", "the ids were saved as a grey RGB image", "keep one channel"
+            f"{where} has {labels.shape[-1]} equal channels",
+            "the ids were saved as a grey RGB image",
+            "keep one channel",
         )
     return refusal(
         f"{where} has shape {labels.shape} and {few} different colours",

@@ -102,7 +102,9 @@ def _photo_shape(lattice: Lattice, photo: UInt8[np.ndarray, "h w 3"]) -> _Verdic
     h, w = photo.shape[:2]
     if abs(np.log(lattice.width / lattice.height * h / w)) < 0.01:
         return None
-    what = f"come from lattices for photos of {lattice.width} x {lattice.height} px, but they are {w} x {h} as displayed"
+    what = (
+        f"come from lattices for photos of {lattice.width} x {lattice.height} px, but they are {w} x {h} as displayed"
+    )
     if abs(np.log(lattice.width / lattice.height * w / h)) < 0.01:
         return _Verdict(
             "width and height are swapped (H and W, or the EXIF orientation is ignored)",

@@ -61,7 +61,7 @@ def witnessed(views: Sequence[View], witness: Mapping[str, Float32[np.ndarray, "
     return ()
 
 
-def _tables(view: View, witness: Float32[np.ndarray, "H W K"], parts: int) -> list[Float64[np.ndarray, "K+1 K"]]:
+def _tables(view: View, witness: Float32[np.ndarray, "H W K"], parts: int) -> list[Float64[np.ndarray, "C K"]]:
     """How much more of each class the witness sees where the evidence says k = 0..K than in the whole part."""
     H, W = view.shape
     found = []
@@ -74,16 +74,14 @@ def _tables(view: View, witness: Float32[np.ndarray, "H W K"], parts: int) -> li
     return found
 
 
-def _scores(tables: Sequence[Float64[np.ndarray, "K+1 K"]], reading: Reading) -> Float64[np.ndarray, "n"]:
+def _scores(tables: Sequence[Float64[np.ndarray, "C K"]], reading: Reading) -> Float64[np.ndarray, "n"]:
     """Joint variation of evidence and witness under a reading, part by part."""
     pairs = [(said, means - 1) for said, means in enumerate(reading) if means]
     said, means = (list(column) for column in zip(*pairs, strict=True))
     return np.array([table[said, means].sum() for table in tables])
 
 
-def _clearly(
-    other: Float64[np.ndarray, "n"], reported: Float64[np.ndarray, "n"], errors: float, least: float
-) -> bool:
+def _clearly(other: Float64[np.ndarray, "n"], reported: Float64[np.ndarray, "n"], errors: float, least: float) -> bool:
     gain = other - reported
     if len(gain) < 4 or other.mean() < least or reported.mean() > LEFT * other.mean():
         return False
