@@ -22,6 +22,8 @@ from excavatwin.scene.progress import Progress, silent
 
 #: Photos that the odd calls get.
 FEW = 4
+#: Provenance that may differ from run to run.
+MEASURED = ("memory", "time")
 _RUNS, _SAME, _TOLD, _NET = "runs", "deterministic", "progress", "no network"
 _ODD = ("odd size 517 x 391", "upright by EXIF", "one photo", "unreadable photo")
 
@@ -99,9 +101,13 @@ def differences(first: Observations, again: Result[Observations]) -> Iterator[st
             if not _equal(getattr(a, key), getattr(b, key)):
                 yield f"two calls with the same photos differ in {key} of {a.name}; fix seeds and orders"
                 return
-    for key in ("up", "metres_per_unit", "unplaced", "doubts", "source"):
+    for key in ("up", "metres_per_unit", "unplaced", "doubts"):
         if not _equal(getattr(one, key), getattr(two, key)):
             yield f"two calls with the same photos differ in {key}"
+            return
+    for key in sorted({*one.source, *two.source} - set(MEASURED)):
+        if one.source.get(key) != two.source.get(key):
+            yield f"two calls with the same photos differ in source[{key!r}]"
             return
 
 
