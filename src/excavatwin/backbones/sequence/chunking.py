@@ -26,7 +26,7 @@ class Chunking:
     camera."""
     seam: float = 0.01
     """A seam at which chunks disagree by more than this (median, as a share of the distance) is reported."""
-    loops: int = 1
+    loops: int = 2
     """Places seen again that are looked for, for each chunk, to find and remove drift; 0 does not look. Each that is
     found costs one more prediction of twice as many photos as chunks share."""
 

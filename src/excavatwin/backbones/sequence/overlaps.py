@@ -59,8 +59,8 @@ def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
 
     Motion blurs in one direction only, so the variance of the Laplacian (Pech-Pacheco et al., ICPR 2000) keeps a tenth
     of its value however long the blur; the direction of least energy loses 0.8 of it at a blur of 3 px and 0.97 at 12.
-    Dividing by the contrast makes haze and dark exposures no blur. Sharp photos of one flight lie within 0.7 to 1.3 of
-    the median of their neighbours (five real sets, 190 photos).
+    Dividing by the contrast makes haze and dark exposures no blur. Sharp photos lie within 0.7 and 1.3 of the median of
+    their neighbours (five real sets and the sample, 149 photos).
     """
     import cv2
 

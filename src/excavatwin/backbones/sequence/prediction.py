@@ -65,10 +65,14 @@ def predict(
         raise next(iter(errors.values()))
     for i in errors:
         points[i], confidence[i], T[i] = np.nan, 0, np.eye(4)
-    nothing = {i: "the network gave it no point" for i in range(len(names)) if np.isnan(points[i, ..., 0]).all()}
-    faults = nothing | {i: f"what the network says of it is unusable: {error}" for i, error in errors.items()}
     checked = replace(said, points=points, confidence=confidence, T_world_cam=T, K_cam=K)
-    return Checked(checked, faults, tuple(miss for miss in misses if np.isfinite(miss)))
+    return Checked(checked, _faults(points, errors), tuple(miss for miss in misses if np.isfinite(miss)))
+
+
+def _faults(points: np.ndarray, errors: dict[int, ExcavatwinError]) -> dict[int, str]:
+    """Why photos cannot be used."""
+    nothing = {i: "the network gave it no point" for i in range(len(points)) if np.isnan(points[i, ..., 0]).all()}
+    return nothing | {i: f"what the network says of it is unusable: {error}" for i, error in errors.items()}
 
 
 def _miss(points: np.ndarray, T: np.ndarray, K: np.ndarray, where: str) -> float:
