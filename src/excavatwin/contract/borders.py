@@ -15,7 +15,7 @@ from jaxtyping import Float32, UInt8
 
 from excavatwin.contract.cameras import half_pixel
 from excavatwin.contract.findings import Finding, refusal, report
-from excavatwin.contract.orientations import TURNS
+from excavatwin.contract.orientations import TURNS, Turn
 from excavatwin.contract.smoothing import slow
 from excavatwin.scene.observations import View
 
@@ -147,7 +147,7 @@ def _shifted(pooled: _Peak, views: int) -> Finding:
         "half a pixel: pixel centres at whole numbers in the resizing of the evidence"
         if half
         else "the evidence is shifted: the offset of a crop or padding is forgotten",
-        "bring the evidence onto the lattice of the picture with the inverse of the affine that the network's input had",
+        "bring the evidence onto the picture's lattice by the inverse of the affine of the network's input",
         shift_x_px=pooled.x,
         shift_y_px=pooled.y,
     )
@@ -186,23 +186,30 @@ def _ways(shape: tuple[int, int]) -> Iterator[tuple[Callable[[Map], Map], str, s
     for turn, cause, _ in TURNS[1:]:
         said = cause.replace("the images are", "the evidence is").replace("of the images are", "of the evidence are")
         if turn(np.empty(shape)).shape == shape:
-            yield lambda b, turn=turn: np.ascontiguousarray(turn(b)), said, "turn it back onto the picture's pixels"
+            yield _turning(turn), said, "turn it back onto the picture's pixels"
     H, W = shape
     side = max(H, W)
-    for middle in (True, False):
+    for middle, sides in ((True, "on both sides"), (False, "at the end")):
         x, y = ((side - W) // 2, (side - H) // 2) if middle else (0, 0)
         M = np.array([[W / side, 0, x * W / side], [0, H / side, y * H / side]])
         yield (
-            lambda b, M=M: cv2.warpAffine(b, M, (W, H), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP),
-            f"the padding is forgotten: the network saw the picture padded {'on both sides' if middle else 'at the end'}"
-            ", and its whole output was resized to the lattice",
+            _warped(M, shape, cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP),
+            f"the padding is forgotten: the network saw the picture padded {sides}, and the whole output was resized "
+            "to the lattice",
             "cut the padding off the output before resizing it",
         )
     side = min(H, W)
-    x, y = (W - side) / 2, (H - side) / 2
-    M = np.array([[side / W, 0, x], [0, side / H, y]])
+    M = np.array([[side / W, 0, (W - side) / 2], [0, side / H, (H - side) / 2]])
     yield (
-        lambda b: cv2.warpAffine(b, M, (W, H), flags=cv2.INTER_LINEAR),
+        _warped(M, shape, cv2.INTER_LINEAR),
         "the crop is forgotten: the network saw the middle square only, and its output was stretched over the lattice",
         "put the output where the crop was; there is no evidence outside it",
     )
+
+
+def _turning(turn: Turn) -> Callable[[Map], Map]:
+    return lambda border: np.ascontiguousarray(turn(border))
+
+
+def _warped(M: np.ndarray, shape: tuple[int, int], flags: int) -> Callable[[Map], Map]:
+    return lambda border: np.asarray(cv2.warpAffine(border, M, shape[::-1], flags=flags))

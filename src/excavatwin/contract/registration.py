@@ -1,4 +1,4 @@
-"""Where a picture really lies in its photo: prediction by a lattice, likeness, and registration to a part of a pixel."""
+"""Where a picture really lies in its photo: prediction by a lattice, likeness, sub-pixel registration."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def _plain(cause: str) -> str:
 
 
 def _missed(cases: Sequence[tuple[View, Reprojection]], gross: bool, total: int) -> Finding:
-    view, worst = max(cases, key=lambda case: case[1].median)
+    _, worst = max(cases, key=lambda case: case[1].median)
     who = named([one.name for one, _ in cases], total)
     far = f"by a median of up to {worst.median:.1f} px" if worst.median < 1e6 else "for most lie behind the camera"
     cause, _, remedy = worst.cause.partition("; ")

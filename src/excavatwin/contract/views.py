@@ -51,7 +51,8 @@ def crossed(views: Sequence[View]) -> tuple[Finding, ...]:
             report(
                 f"the views disagree about the surface by a median of {found.gap:.0%} of its distance, and no usual "
                 "mistake of convention explains it",
-                remedy="the reconstruction is weak (little overlap, moving scene, weights of another model?)",
+                "",
+                "the reconstruction is weak (little overlap, moving scene, weights of another model?)",
                 **_figures(found),
             ),
         )
