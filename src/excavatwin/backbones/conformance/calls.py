@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from excavatwin.backbones import extras, weights
-from excavatwin.backbones.protocols import Backbone
+from excavatwin.backbones.cards import Card
 from excavatwin.errors import ExcavatwinError
 from excavatwin.scene.progress import Progress
 
@@ -65,15 +65,16 @@ def first_line(error: BaseException) -> str:
     return next((line.strip() for line in str(error).splitlines() if line.strip()), "no message")[:300]
 
 
-def absent(backbone: Backbone) -> str:
+def absent(backbone: Any) -> str:
     """Why the backbone cannot run here, in one sentence; empty when it can."""
-    card = backbone.card
+    card = getattr(backbone, "card", None)
+    if not isinstance(card, Card):
+        return "it has no card."
     modules = extras.missing(card)
     if modules:
         return f"{', '.join(modules)} {'are' if len(modules) > 1 else 'is'} not installed; run: {card.install}"
-    values: dict[str, Any] = vars(backbone)
     for field_ in card.weight_fields if card.weights else ():
-        wanted = str(values.get(field_, ""))
+        wanted = str(getattr(backbone, field_, ""))
         try:
             found = weights.find(card, wanted)
         except ExcavatwinError as error:
@@ -81,7 +82,7 @@ def absent(backbone: Backbone) -> str:
         if found is None:
             one = weights.described(weights.chosen(card, wanted))
             return f"the weights ({one}) are not on this machine; give --{card.name}.{field_} PATH"
-    if card.argument and not card.weights and not values.get(card.argument):
+    if card.argument and not card.weights and not getattr(backbone, card.argument, ""):
         return f"nothing was given to read; say {card.name}:{card.argument.upper()}"
     return ""
 

@@ -44,8 +44,8 @@ def check_reconstructor(
     Args:
         backbone: with the parameters that should be checked; it is called six times.
         photos: some that it can reconstruct, at least three for most.
-        scratch: an existing folder; every call gets a folder of its own in it. Whether something is written outside
-            of it is not checked.
+        scratch: an empty folder, made when it is missing; every call gets a folder of its own in it. Whether something
+            is written outside of it is not checked.
         progress: told how far the suite is.
     """
     return examine(backbone, photos, scratch, progress).report
