@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
+from excavatwin.backbones.sequence.memory import available
 from excavatwin.errors import InputError
+
+__all__ = ["available", "check", "cores", "estimate", "lattice_of"]
 
 #: Interpreter, libraries and compiled kernels [bytes].
 _FLOOR = 450e6
@@ -42,33 +44,6 @@ def check(photos: int, lattice: int, aspect: float) -> tuple[str, ...]:
     return (f"{figures}: should the run be killed, {advice}.",)
 
 
-def available() -> float | None:
-    """Memory that this process may still take [bytes]; None where the system does not tell."""
-    free = _meminfo()
-    limit = _control_group()
-    known = [value for value in (free, limit) if value is not None]
-    return min(known) if known else None
-
-
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _meminfo() -> float | None:
-    try:
-        rows = Path("/proc/meminfo").read_text().splitlines()
-    except OSError:  # not Linux
-        return None
-    found = [row for row in rows if row.startswith("MemAvailable:")]
-    return float(found[0].split()[1]) * 1024 if found else None
-
-
-def _control_group() -> float | None:
-    """What is left of a container's limit (control group v2)."""
-    group = Path("/sys/fs/cgroup")
-    try:
-        limit, used = (group / "memory.max").read_text().strip(), (group / "memory.current").read_text()
-    except OSError:
-        return None
-    return None if limit == "max" else max(float(limit) - float(used), 0.0)
