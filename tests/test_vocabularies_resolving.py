@@ -125,7 +125,7 @@ def test_otherwise_is_explicit_and_told(tmp_path):
     found = resolve(["spoil", "lamp", "haze", "vase"], str(tmp_path / "own.toml"))
     np.testing.assert_array_equal(found.weights, [CT, OB / 4, 0 * OB, OB / 4])
     assert found.otherwise == ("lamp", "vase")
-    assert found.sentence() == "4 classes by the mapping own (mine); by its 'otherwise': lamp, vase."
+    assert found.sentence() == "4 classes by the mapping own (mine); 2 by its 'otherwise': lamp, vase."
     assert resolve(["spoil"], str(tmp_path / "own.toml")).otherwise == ()
 
 

@@ -15,6 +15,8 @@ from excavatwin.scene.taxonomy import ClassMapping, TaskClass, parse_class
 from excavatwin.vocabularies.mapping_files import parse_target, read_vocabulary, shipped_vocabularies
 from excavatwin.vocabularies.vocabulary import Vocabulary, canonical, whole
 
+#: So many classes without a line of their own are named in a sentence; the mapping's file tells the rest.
+LISTED = 30
 #: Policy of a mapping of which the user wrote every line.
 OWN = "own"
 
@@ -45,9 +47,16 @@ class Resolved:
         """Pixels that are sky or water: the probabilities of those classes exceed one half together."""
         return np.asarray(p, np.float32) @ self.no_surface.astype(np.float32) > 0.5
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """The sentence, when classes were mapped that the mapping has no line for."""
+        return (self.sentence(),) if self.otherwise else ()
+
     def sentence(self) -> str:
         """How the classes were mapped, for the run's record."""
-        rest = f"; by its 'otherwise': {', '.join(self.otherwise)}" if self.otherwise else ""
+        more = len(self.otherwise) - LISTED
+        listed = ", ".join(self.otherwise[:LISTED]) + (f" and {more} more" if more > 0 else "")
+        rest = f"; {len(self.otherwise)} by its 'otherwise': {listed}" if self.otherwise else ""
         return f"{len(self.names)} classes by the mapping {self.mapping} ({self.policy}){rest}."
 
 

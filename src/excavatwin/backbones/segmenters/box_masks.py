@@ -63,9 +63,7 @@ class BoxMasks:
     def _kind(self) -> str:
         named = str((read_json(self.folder / "config.json") or {}).get("model_type", "nothing"))
         if named not in KINDS:
-            raise InputError(
-                f"{self.folder} is a network of type {named}; its masks need one of {', '.join(KINDS)}."
-            )
+            raise InputError(f"{self.folder} is a network of type {named}; its masks need one of {', '.join(KINDS)}.")
         return KINDS[named]
 
 

@@ -158,8 +158,7 @@ class ClosedVocabulary(ABC):
             names = tuple(read_vocabulary(name).names.values())
             doubts.append(f"the weights do not name their classes; they are taken to be those of {name}, in its order.")
         meaning = resolve(names, self.mapping, self.remap)
-        if meaning.otherwise:
-            doubts.append(meaning.sentence())
+        doubts += meaning.doubts
         return meaning, doubts
 
     def _here(self) -> Path:

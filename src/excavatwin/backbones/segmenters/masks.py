@@ -89,7 +89,7 @@ class Masks:
             return self._nothing(picture)
         mapping = self.mapping or labels.vocabulary
         resolved = resolve(labels.source.names, mapping, self.remap)
-        doubts = (*labels.doubts, *found.doubts, *_fits(found, size, picture.name))
+        doubts = (*resolved.doubts, *labels.doubts, *found.doubts, *_fits(found, size, picture.name))
         known = found.classes != VOID
         table = np.zeros((len(found.classes), K + 1), np.float32)
         table[known, :K] = resolved.weights[found.classes[known]] * self.certainty * found.scores[known, None]

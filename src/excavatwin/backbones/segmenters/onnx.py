@@ -78,7 +78,7 @@ class Onnx:
         silent = _back(p @ resolved.no_surface.astype(np.float32)[:, None], fit)[..., 0] > 0.5
         seen = _seen(fit)
         evidence[silent | ~seen] = 0
-        return Segmentation(evidence, silent & seen, tuple(self._doubts(session.provider, seen)))
+        return Segmentation(evidence, silent & seen, (*resolved.doubts, *self._doubts(session.provider, seen)))
 
     def _doubts(self, provider: str, seen: Bool[np.ndarray, "H W"]) -> list[str]:
         told = []

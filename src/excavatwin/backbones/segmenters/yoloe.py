@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -132,7 +132,7 @@ class Yoloe:
         fit = sight.letterbox((image.shape[1], image.shape[0]), self.long_side, 32)
         tally = Tally.empty(image.shape[:2])
         with Device(self.device.name, "float32").inference():
-            votes, embeddings = self._asked(network)
+            votes, embeddings, doubts = self._asked(network)
         with self.device.inference() as device:
             pixels = torch.from_numpy(self.prepare(image))[None].to(device)
             limits = (self.score, self.overlap, self.most)
@@ -141,24 +141,24 @@ class Yoloe:
             if votes[index].any():
                 mask = (sight.returned(logits, fit) > 0) & inside(box, fit)
                 tally.claim_instance(votes[index], mask, float(score))
-        return tally.segmentation()
+        return replace(tally.segmentation(), doubts=doubts)
 
-    def _asked(self, network: Any) -> tuple[Float32[np.ndarray, "P C"], Any]:
-        """Votes of the classes, and their embeddings (None: built in)."""
+    def _asked(self, network: Any) -> tuple[Float32[np.ndarray, "P C"], Any, tuple[str, ...]]:
+        """Votes of the classes, their embeddings (None: built in), and what is to be said about the mapping."""
         classes = yoloe_network.own_classes(network)
         if self.references:
             if classes:
                 raise InputError("prompt-free weights of yoloe take no references; give weights without -pf.")
             file = Path(self.references).expanduser()
             found, embeddings = yoloe_prompts.referenced(network, file, self._references(), self.long_side)
-            return found.votes, embeddings
+            return found.votes, embeddings, ()
         if classes:
             resolved = resolve(classes, self.mapping, self.remap)
             votes = np.zeros((len(classes), CHANNELS), np.float32)
             votes[:, :K], votes[:, NO_SURFACE] = resolved.weights, resolved.no_surface
-            return votes, None
+            return votes, None, resolved.doubts
         prompts = read_prompts(self.prompts)
-        return prompts.votes, self._words(network, prompts.texts)
+        return prompts.votes, self._words(network, prompts.texts), ()
 
     def _references(self) -> str:
         """Fingerprint of the reference photos and of the file that lists them."""
