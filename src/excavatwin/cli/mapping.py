@@ -105,8 +105,8 @@ def fuse_command(
     force
         Go on although the points do not reproject onto their own pixels.
     class_mapping
-        For labels in another vocabulary: task, ade20k-150, coco-panoptic, cityscapes, goose-64, rellis-3d (after
-        them, ":strict" for that policy instead of "diggable"), or a TOML file of your own.
+        For labels in another vocabulary: the name of a shipped mapping (a wrong one lists them all; after
+        it, ":strict" for that policy instead of "diggable"), or a TOML file of your own.
     remap
         "CLASS=TASK_CLASS": count a class as another task class, or as nothing. Repeatable.
     """
