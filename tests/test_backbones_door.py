@@ -118,6 +118,37 @@ def test_weights_are_found_in_the_cache_of_the_hub_or_by_path(hub: Path, tmp_pat
         weights.find(NETWORK, str(tmp_path / "none" / "mine.pt"))
 
 
+def test_half_a_download_is_not_taken_for_weights(hub: Path) -> None:
+    snapshots = put(hub, "lab/seer-large", "old").parent
+    refs = snapshots.parent / "refs" / "main"
+    (snapshots / "new").mkdir()
+    (snapshots / "new" / "config.json").write_text("{}")
+    refs.write_text("new")
+    assert weights.find(NETWORK) == snapshots / "old"
+    (snapshots / "new" / "model.safetensors.index.json").write_text('{"weight_map": {"a": "1.safetensors"}}')
+    (snapshots / "new" / "2.safetensors").write_bytes(b"0")
+    assert weights.find(NETWORK) == snapshots / "old"
+    (snapshots / "new" / "1.safetensors").symlink_to("gone")
+    assert weights.find(NETWORK) == snapshots / "old"
+    (snapshots / "new" / "1.safetensors").unlink()
+    (snapshots / "new" / "1.safetensors").write_bytes(b"0")
+    assert weights.find(NETWORK) == snapshots / "new"
+    refs.write_text("old")
+    assert weights.find(NETWORK) == snapshots / "old"
+    (snapshots / "old" / "model.safetensors").unlink()
+    (snapshots / "new" / "1.safetensors").unlink()
+    assert weights.find(NETWORK) is None
+
+
+@pytest.mark.parametrize(
+    ("wanted", "path"),
+    [("lab/seer-large", False), ("seer-large", False), ("", False), ("seer.pt", True), ("./seer", True), ("~/x", True),
+     ("a/b/c", True)],
+)  # fmt: skip
+def test_names_on_the_hub_and_paths(wanted: str, path: bool) -> None:
+    assert weights.is_path(wanted) is path
+
+
 def test_without_consent_nothing_is_fetched(hub: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fetched: list[str] = []
     monkeypatch.setattr(weights, "download", lambda one: fetched.append(one.repo) or put(hub, one.repo))

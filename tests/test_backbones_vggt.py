@@ -100,7 +100,9 @@ def test_when_its_code_is_absent_the_install_line_is_given():
 
 def test_when_weights_are_missing_size_and_licence_are_given(monkeypatch, tmp_path):
     monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path))
-    with pytest.raises(InputError, match=r"facebook/VGGT-1B, 5\.0 GB, licence CC-BY-NC-4\.0, which restricts commercial use"):
+    with pytest.raises(
+        InputError, match=r"facebook/VGGT-1B, 5\.0 GB, licence CC-BY-NC-4\.0, which restricts commercial use"
+    ):
         Vggt().open()
 
 

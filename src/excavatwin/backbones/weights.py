@@ -5,6 +5,7 @@ They are looked for where Hugging Face's libraries keep them (``HF_HOME``), or a
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Callable
@@ -13,6 +14,10 @@ from pathlib import Path
 
 from excavatwin.backbones.cards import Card, Weights
 from excavatwin.errors import InputError
+
+_TENSORS = (".safetensors", ".pt", ".pth", ".bin", ".ckpt", ".npz", ".onnx")
+_TEXT = (".json", ".txt", ".model", ".md", ".yaml", ".yml", "")
+"""Endings of files that come with weights and are none."""
 
 Consent = Callable[[str], bool]
 """Asked with one sentence that names what would be downloaded, its size and its licence."""
@@ -35,11 +40,17 @@ def chosen(card: Card, wanted: str) -> Weights:
 
 def is_path(wanted: str) -> bool:
     """Whether the user gave a place on disk rather than a name on the hub."""
-    return bool(wanted) and (Path(wanted).exists() or wanted.startswith((".", "/", "~")) or wanted.count("/") > 1)
+    if not wanted:
+        return False
+    named = wanted.startswith((".", "/", "~")) or wanted.endswith(_TENSORS) or wanted.count("/") > 1
+    return named or Path(wanted).exists()
 
 
 def find(card: Card, wanted: str = "") -> Path | None:
     """Folder or file of the weights on this machine; None when they are not here. Never touches the network.
+
+    Of several revisions in the hub's cache the one that it calls main, else the one that came last. One that lacks its
+    tensors, because a download stopped or because somebody fetched only the configuration, is not there.
 
     Raises:
         InputError: a path was given and nothing is there.
@@ -51,10 +62,9 @@ def find(card: Card, wanted: str = "") -> Path | None:
         return path
     snapshots = _cache() / f"models--{chosen(card, wanted).repo.replace('/', '--')}" / "snapshots"
     main = snapshots.parent / "refs" / "main"
-    if main.is_file() and (snapshots / main.read_text().strip()).is_dir():
-        return snapshots / main.read_text().strip()
-    there = sorted(snapshots.iterdir()) if snapshots.is_dir() else []
-    return there[-1] if there else None
+    there = [one for one in snapshots.iterdir() if _whole(one)] if snapshots.is_dir() else []
+    current = main.read_text().strip() if main.is_file() else ""
+    return max(there, key=lambda one: (one.name == current, one.stat().st_mtime_ns, one.name), default=None)
 
 
 def need(card: Card, wanted: str = "") -> Path:
@@ -122,6 +132,20 @@ def fingerprint(card: Card, wanted: str = "") -> str:
         return f"{chosen(card, wanted).repo}@{found.name}"
     files = sorted(file for file in found.rglob("*") if file.is_file()) if found.is_dir() else [found]
     return "; ".join(f"{file.name} {file.stat().st_size} {file.stat().st_mtime_ns}" for file in files)
+
+
+def _whole(snapshot: Path) -> bool:
+    """Whether a revision in the cache has tensors, and all parts of them where they are cut into several files."""
+    if not any(file.suffix.lower() not in _TEXT and file.is_file() for file in snapshot.rglob("*")):
+        return False
+    for index in snapshot.glob("*.safetensors.index.json"):
+        try:
+            parts = set(json.loads(index.read_text())["weight_map"].values())
+        except (OSError, ValueError, KeyError, AttributeError):
+            return False
+        if not all((snapshot / part).is_file() for part in parts):
+            return False
+    return True
 
 
 def _cache() -> Path:
