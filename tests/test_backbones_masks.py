@@ -133,6 +133,22 @@ def test_masks_in_the_catalogue(tmp_path):
     assert segmenter(picture(name="photo.jpg")).evidence[0, 79].tolist() == EX.tolist()
 
 
+def test_the_identity_follows_what_names_the_classes(tmp_path):
+    written(tmp_path / "labels", halves(0, 1))
+    names, own = tmp_path / "classes.txt", tmp_path / "own.toml"
+    own.write_text('[classes]\nsoil = "construction_terrain"\nbush = "nothing"\n')
+    names.write_text("soil\nbush\n")
+    model = Masks(str(tmp_path / "labels"), mapping=f"{own}:own")
+    first = model.identity()
+    np.testing.assert_array_equal(model(picture()).evidence[0, [0, 79]], [CT, 0 * CT])
+    names.write_text("bush\nsoil")
+    assert model.identity() != first
+    np.testing.assert_array_equal(model(picture()).evidence[0, [0, 79]], [0 * CT, CT])
+    second = model.identity()
+    own.write_text('[classes]\nsoil = "construction_terrain"\nbush = "obstacle"\n')
+    assert model.identity() != second
+
+
 def test_sky_void_and_certainty(tmp_path):
     ids = halves(53, 31)  # sky, soil
     ids[:10] = 255

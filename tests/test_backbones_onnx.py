@@ -227,6 +227,18 @@ def test_the_identity_follows_the_model_and_its_description(tmp_path):
     assert described(tmp_path).identity() != first
 
 
+def test_the_identity_follows_the_users_own_mapping(tmp_path):
+    export(tmp_path / "model.onnx", np.eye(3))
+    own = tmp_path / "own.toml"
+    lines = '[classes]\nspoil = "construction_terrain"\nlow_grass = "other_terrain"\nheavy_machinery = "{}"\n'
+    source = described(tmp_path, "", ["spoil", "low_grass", "heavy_machinery"]).source
+    for mapping in (str(own), f"{own}:own"):
+        own.write_text(lines.format("excavator"))
+        before = Onnx(source, mapping=mapping).identity()
+        own.write_text(lines.format("obstacle"))
+        assert Onnx(source, mapping=mapping).identity() != before
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -4,7 +4,7 @@ The shipped ones are readable TOML files in ``class_mappings/``; a user's own fi
 class belongs to is a choice that scores depend on, so each choice is a named policy.
 """
 
-from excavatwin.vocabularies.mapping_files import policies_of, read_vocabulary, shipped_vocabularies
+from excavatwin.vocabularies.mapping_files import digest, policies_of, read_vocabulary, shipped_vocabularies
 from excavatwin.vocabularies.resolving import Resolved, fitting, parse_remap, resolve
 from excavatwin.vocabularies.vocabulary import NOTHING, Vocabulary, canonical, whole
 
@@ -13,6 +13,7 @@ __all__ = [
     "Resolved",
     "Vocabulary",
     "canonical",
+    "digest",
     "fitting",
     "parse_remap",
     "policies_of",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
@@ -61,6 +62,16 @@ def policies_of(source: str | Path) -> tuple[str, ...]:
     return str(table.get("policy", "own")), *table.get("policies", {})
 
 
+def digest(source: str) -> str:
+    """Changes when the content of a class mapping does; empty where none is named (``""``, ``":policy"``).
+
+    Raises:
+        InputError: no such vocabulary or file.
+    """
+    place = source if Path(source).exists() or ":" not in source else source.rpartition(":")[0]
+    return hashlib.blake2b(_text(place).encode(), digest_size=6).hexdigest() if place else ""
+
+
 def parse_target(target: object, name: str, where: str) -> Weights:
     """Task classes and weights of ``"task_class"``, ``"nothing"`` or ``{ task_class = weight }``.
 
@@ -86,19 +97,21 @@ def parse_target(target: object, name: str, where: str) -> Weights:
     return weights
 
 
-def _table(source: str | Path) -> dict[str, Any]:
+def _text(source: str | Path) -> str:
     if str(source) in shipped_vocabularies():
-        text = (files("excavatwin.vocabularies") / "class_mappings" / f"{source}.toml").read_text("utf-8")
-    else:
-        try:
-            text = Path(source).read_text("utf-8")
-        except (OSError, UnicodeDecodeError):
-            names = ", ".join(shipped_vocabularies())
-            raise InputError(
-                f"class mapping {str(source)!r} is neither a readable TOML file nor one of the shipped ones: {names}."
-            ) from None
+        return (files("excavatwin.vocabularies") / "class_mappings" / f"{source}.toml").read_text("utf-8")
     try:
-        return tomllib.loads(text)
+        return Path(source).read_text("utf-8")
+    except (OSError, UnicodeDecodeError):
+        names = ", ".join(shipped_vocabularies())
+        raise InputError(
+            f"class mapping {str(source)!r} is neither a readable TOML file nor one of the shipped ones: {names}."
+        ) from None
+
+
+def _table(source: str | Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(_text(source))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"class mapping {source} is not valid TOML: {error}.") from None
 

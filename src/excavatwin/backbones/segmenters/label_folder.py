@@ -42,6 +42,13 @@ def stamp(*places: Path) -> str:
     return digest.hexdigest()
 
 
+def name_files(place: Path) -> list[Path]:
+    """Files above a folder of labels that may name its classes, and so decide the result as well."""
+    above = {place.parent, place.parent.parent} if place.is_dir() else set()
+    there = [file for folder in sorted(above) for file in sorted(folder.iterdir())]
+    return [file for file in there if file.name in NAME_FILES or file.suffix in (".yaml", ".yml")]
+
+
 @lru_cache(maxsize=4)
 def open_labels(place: Path, form: Form, vocabulary: str, suffix: str, offset: int, state: str) -> Labels:
     """The labels of a folder, or of a COCO file.
@@ -52,7 +59,7 @@ def open_labels(place: Path, form: Form, vocabulary: str, suffix: str, offset: i
         vocabulary: classes of label images and YOLO text, a shipped name or a TOML file.
         suffix: what the names of the files have behind the stem of the photo.
         offset: added to ids.
-        state: fingerprint of the place.
+        state: fingerprint of the place, of the files that name its classes, and of the vocabulary.
 
     Raises:
         InputError: nothing is there, or its classes are not known.

@@ -14,13 +14,13 @@ import excavatwin
 from excavatwin.backbones.cards import Card, Tried
 from excavatwin.backbones.protocols import Picture, Segmentation
 from excavatwin.backbones.segmenters import sight
-from excavatwin.backbones.segmenters.label_folder import IMAGES, Form, Labels, by_stem, open_labels, stamp
+from excavatwin.backbones.segmenters.label_folder import IMAGES, Form, Labels, by_stem, name_files, open_labels, stamp
 from excavatwin.backbones.segmenters.label_images import score_image
 from excavatwin.backbones.segmenters.labelled import VOID, Labelled
 from excavatwin.backbones.segmenters.photo_sampling import shares
 from excavatwin.errors import InputError, require
 from excavatwin.scene.taxonomy import K
-from excavatwin.vocabularies import resolve
+from excavatwin.vocabularies import digest, resolve
 
 #: Shapes of label images and photos agree to this.
 SHAPE = 0.005
@@ -68,10 +68,10 @@ class Masks:
         require(self, "certainty", 0, 1)
 
     def identity(self) -> str:
-        """The version of ExcavaTwin, and which files."""
-        places = [self._place()] + ([Path(self.scores).expanduser()] if self.scores else [])
-        tables = [Path(name) for name in (self.vocabulary, self.mapping) if Path(name).is_file()]
-        return f"{excavatwin.__version__}; {stamp(*places, *tables)}"
+        """The version of ExcavaTwin, which files, those that name their classes, and the content of the mappings."""
+        scores = [Path(self.scores).expanduser()] if self.scores else []
+        places = [self._place(), *name_files(self._place()), *scores]
+        return f"{excavatwin.__version__}; {stamp(*places)}; {digest(self.vocabulary)}; {digest(self.mapping)}"
 
     def __call__(self, picture: Picture) -> Segmentation:
         """Evidence on the pixels of the picture.
@@ -112,7 +112,8 @@ class Masks:
 
     def _labels(self) -> Labels:
         place = self._place()
-        return open_labels(place, self.form, self.vocabulary, self.suffix, self.offset, stamp(place))
+        state = f"{stamp(place, *name_files(place))} {digest(self.vocabulary)}"
+        return open_labels(place, self.form, self.vocabulary, self.suffix, self.offset, state)
 
     def _nothing(self, picture: Picture) -> Segmentation:
         if not picture.name:

@@ -19,7 +19,7 @@ from excavatwin.backbones.segmenters import sight
 from excavatwin.backbones.segmenters.onnx_description import Description, read_description
 from excavatwin.backbones.segmenters.onnx_session import checked, opened, probabilities
 from excavatwin.errors import InputError
-from excavatwin.vocabularies import resolve
+from excavatwin.vocabularies import digest, resolve
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,11 @@ class Onnx:
     """What it runs on; ``auto`` is CUDA where onnxruntime has it."""
 
     def identity(self) -> str:
-        """Version of onnxruntime, the TOML file, and which model file."""
+        """Version of onnxruntime, the TOML file, which model file, and the class mapping's content."""
         description = self._description()
-        text = hashlib.blake2b(Path(self.source).read_bytes(), digest_size=10).hexdigest()
-        return f"{extras.versions(self.card)}; {text}; {_stamp(description.model)}"
+        text = hashlib.blake2b(Path(self.source).expanduser().read_bytes(), digest_size=10).hexdigest()
+        meaning = digest(self.mapping or description.mapping)
+        return f"{extras.versions(self.card)}; {text}; {_stamp(description.model)}; {meaning}"
 
     def __call__(self, picture: Picture) -> Segmentation:
         """Evidence on the pixels of the picture.

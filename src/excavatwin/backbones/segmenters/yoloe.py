@@ -20,7 +20,7 @@ from excavatwin.backbones.segmenters.instances import Tally
 from excavatwin.backbones.segmenters.prompts import CHANNELS, NO_SURFACE, read_prompts
 from excavatwin.errors import InputError, require
 from excavatwin.scene.taxonomy import K
-from excavatwin.vocabularies import resolve
+from excavatwin.vocabularies import digest, resolve
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,8 @@ class Yoloe:
     def identity(self) -> str:
         """Versions of the libraries, which weights, and all that decides what is looked for."""
         parts = [extras.versions(self.card), weights.fingerprint(self.card, self.weights)]
-        parts += [_stamp(path) for path in (self.text_encoder, self.embeddings, self.mapping) if path]
+        parts += [_stamp(path) for path in (self.text_encoder, self.embeddings) if path]
+        parts += [digest(self.mapping)]
         parts += [self._references()] if self.references else []
         return "; ".join([*parts, read_prompts(self.prompts).identity()])
 
