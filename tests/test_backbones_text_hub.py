@@ -99,6 +99,36 @@ def test_pixels_to_evidence(name: str, folder: Folder, words: str) -> None:
         assert (again.evidence == seen.evidence).all()
 
 
+@pytest.mark.parametrize(
+    ("name", "kind", "method", "given"),
+    [
+        ("clipseg", "CLIPSegForImageSegmentation", "get_conditional_embeddings", "input_ids"),
+        ("grounded-sam 1", "SamModel", "forward", "input_boxes"),
+        ("grounded-sam 2", "Sam2Model", "forward", "input_boxes"),
+    ],
+)
+def test_memory_that_runs_out_means_fewer_at_a_time_and_is_said(
+    name: str, kind: str, method: str, given: str, folder: Folder, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = segmenter(name, folder, words)
+    whole = model(Picture(photo()))
+    home = getattr(transformers, kind)
+    real = getattr(home, method)
+
+    def small(self: Any, *more: Any, **named: Any) -> Any:
+        if named[given].shape[1 if given == "input_boxes" else 0] > 1:
+            raise torch.OutOfMemoryError("CUDA out of memory (injected)")
+        return real(self, *more, **named)
+
+    monkeypatch.setattr(home, method, small)
+    seen = model(Picture(photo()))
+    np.testing.assert_allclose(seen.evidence, whole.evidence, atol=1e-3)  # logits of random networks are large
+    assert seen.doubts
+    assert all(sentence.startswith("memory ran out with ") for sentence in seen.doubts)
+    assert seen.doubts[-1].endswith("at a time; going on with 1.")
+    assert not whole.doubts
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_half_precision_runs(name: str, folder: Folder, words: str) -> None:
     half = segmenter(name, folder, words, "bfloat16")(Picture(photo()))
@@ -258,10 +288,10 @@ def test_incomplete_weights_are_refused(folder: Folder, words: str, tmp_path: Pa
     tensors = load_file(tmp_path / "model.safetensors")
     lost = next(name for name in tensors if name.startswith("decoder.layers.0"))
     save_file({k: v for k, v in tensors.items() if k != lost}, tmp_path / "model.safetensors", {"format": "pt"})
-    with pytest.raises(InputError, match=f"does not fill CLIPSegForImageSegmentation: 1 .*{lost}"):
+    with pytest.raises(InputError, match=f"lack 1 of the parameters of CLIPSegForImageSegmentation.*{lost}"):
         ClipSeg(str(tmp_path), words, side=64)(Picture(photo()))
     (tmp_path / "model.safetensors").write_bytes(b"nonsense")
-    with pytest.raises(InputError, match="cannot be loaded as CLIPSegForImageSegmentation"):
+    with pytest.raises(InputError, match="cannot be read as CLIPSegForImageSegmentation"):
         ClipSeg(str(tmp_path), words, side=64)(Picture(photo()))
     (tmp_path / "config.json").unlink()
     with pytest.raises(InputError, match=r"holds no config\.json"):

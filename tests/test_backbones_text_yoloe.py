@@ -130,6 +130,26 @@ def check(seen: Any, shape: tuple[int, int], least: float = 0.3) -> None:
     assert seen.evidence.max() >= least
 
 
+def test_memory_that_runs_out_means_a_smaller_input_and_is_said(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, sides = yoloe_network.detect, []
+
+    def small(network: Any, pixels: Any, *more: Any) -> Any:
+        sides.append(max(pixels.shape[-2:]))
+        if sides[-1] > 256:
+            raise torch.OutOfMemoryError("CUDA out of memory (injected)")
+        return real(network, pixels, *more)
+
+    monkeypatch.setattr(yoloe_network, "detect", small)
+    seen = yoloe(home, long_side=512)(Picture(photo()))
+    assert sides == [512, 256]
+    assert seen.doubts[0] == (
+        "memory ran out with 16 x 32 px on the long side of the network's input; going on with 8."
+    )
+    monkeypatch.setattr(yoloe_network, "detect", lambda *_: small(None, torch.empty(1, 3, 512, 512)))
+    with pytest.raises(InputError, match="memory ran out with 5 x 32 px"):
+        yoloe(home)(Picture(photo()))
+
+
 def references(home: Path, tmp_path: Path) -> str:
     from PIL import Image
 

@@ -13,7 +13,7 @@ from excavatwin.backbones.cards import Card, Tried, Weights
 from excavatwin.backbones.device import Device, halving
 from excavatwin.backbones.protocols import Picture, Segmentation
 from excavatwin.backbones.segmenters import hub_networks, sight
-from excavatwin.backbones.segmenters.instances import Tally
+from excavatwin.backbones.segmenters.instances import Tally, told
 from excavatwin.backbones.segmenters.prompts import read_prompts
 from excavatwin.errors import require
 
@@ -80,12 +80,15 @@ class ClipSeg:
         prompts = read_prompts(self.prompts)
         fit = lattices.fit(size, (self.side, self.side), "stretch")
         pixels = self.prepare(picture.image)
-        logits = halving(lambda batch: self._logits(pixels, prompts.texts, batch), self.batch, 1, lambda _: None)
+        said: list[str] = []
+        logits = halving(
+            lambda batch: self._logits(pixels, prompts.texts, batch), self.batch, 1, said.append, "prompts at a time"
+        )
         tally = Tally.empty(picture.image.shape[:2])
         for votes, grid in zip(prompts.votes, logits, strict=True):
             belief = 0.5 + 0.5 * np.tanh(0.5 * sight.returned(grid, fit))  # sigmoid, without overflow
             tally.claim(votes, np.where(belief >= self.threshold, belief, np.float32(0)))
-        return tally.segmentation()
+        return told(tally.segmentation(), said)
 
     def _logits(
         self, pixels: Float32[np.ndarray, "3 h w"], texts: tuple[str, ...], batch: int

@@ -17,6 +17,7 @@ from excavatwin.backbones.cards import Card
 from excavatwin.backbones.device import Device, halving
 from excavatwin.backbones.extras import need, versions
 from excavatwin.backbones.protocols import Picture, Segmentation
+from excavatwin.backbones.segmenters import sight
 from excavatwin.backbones.segmenters.preparation import Preparation
 from excavatwin.backbones.segmenters.pretrained import Opened, class_names, configuration, opened
 from excavatwin.backbones.segmenters.readings import Reading
@@ -79,7 +80,8 @@ class ClosedVocabulary(ABC):
             InputError: no weights, damaged ones, classes that are not mapped, or too little memory.
         """
         need(self.card)
-        image, folder = checked(picture.image), self._here()
+        sight.checked(picture.image, self.card.name)
+        image, folder = picture.image, self._here()
         config = self._configuration(folder)
         meaning, doubts = self._meaning(config)
         start, least = self._sides(image, folder, config)
@@ -166,17 +168,6 @@ class ClosedVocabulary(ABC):
 
     def _configuration(self, folder: Path) -> dict[str, Any]:
         return configuration(folder, self.kinds, self.card.name)
-
-
-def checked(image: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 3"]:
-    """The image, if it is one.
-
-    Raises:
-        InputError: it is not (H, W, 3) uint8.
-    """
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
-        raise InputError(f"a segmenter needs an RGB image (H, W, 3) uint8, not {image.shape} {image.dtype}.")
-    return image
 
 
 def _folder(path: Path) -> Path:

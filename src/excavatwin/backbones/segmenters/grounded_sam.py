@@ -15,7 +15,7 @@ from excavatwin.backbones.device import Device, halving
 from excavatwin.backbones.protocols import Picture, Segmentation
 from excavatwin.backbones.segmenters import hub_networks, sight
 from excavatwin.backbones.segmenters.box_masks import BoxMasks
-from excavatwin.backbones.segmenters.instances import Tally
+from excavatwin.backbones.segmenters.instances import Tally, told
 from excavatwin.backbones.segmenters.prompts import read_prompts
 from excavatwin.errors import InputError, require
 
@@ -63,12 +63,15 @@ class GroundedSam:
     """Short side of what the detector sees [px]."""
     long_side: int = 1333
     """Its long side does not exceed this [px]."""
+    batch: int = 32
+    """Boxes that get their masks at a time."""
     device: Device = field(default_factory=Device)
     """What the networks run on."""
 
     def __post_init__(self) -> None:
         require(self, "score", 0, 1)
         require(self, "most", 1)
+        require(self, "batch", 1)
         require(self, "short_side", 32)
         require(self, "long_side", self.short_side)
 
@@ -91,12 +94,14 @@ class GroundedSam:
         """
         sight.checked(picture.image, self.card.name)
         extras.need(self.card)
-        return halving(lambda _: self._seen(picture.image), 1, 1, lambda _: None)
+        said: list[str] = []
+        found = halving(lambda batch: self._seen(picture.image, batch), self.batch, 1, said.append, "boxes at a time")
+        return told(found, said)
 
-    def _seen(self, image: UInt8[np.ndarray, "H W 3"]) -> Segmentation:
+    def _seen(self, image: UInt8[np.ndarray, "H W 3"], batch: int) -> Segmentation:
         prompts = read_prompts(self.prompts)
         folder = hub_networks.folder_of(self.card, self.mask_weights, "mask_weights")
-        masks = BoxMasks(folder, weights.fingerprint(self.card, self.mask_weights), self.device)
+        masks = BoxMasks(folder, weights.fingerprint(self.card, self.mask_weights), self.device, batch)
         tally = Tally.empty(image.shape[:2])
         boxes, scores, owners = self._boxes(image, prompts.texts)
         for index, mask, quality in masks(image, boxes):

@@ -1,4 +1,4 @@
-"""Networks and tokenizers of ``transformers`` from a folder: loaded once, complete, never downloaded."""
+"""Networks and tokenizers of text-prompted segmenters from a folder: loaded once, complete, never downloaded."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 from excavatwin.backbones import weights
 from excavatwin.backbones.cards import Card
+from excavatwin.backbones.segmenters.pretrained import first_line, opened
 from excavatwin.errors import InputError
 
 
@@ -37,9 +38,8 @@ def folder_of(card: Card, wanted: str, field: str = "weights") -> Path:
     return found
 
 
-@lru_cache(maxsize=3)
 def network(kind: str, folder: Path, stamp: str, device: Any) -> Any:
-    """A network in evaluation mode on its device, float32.
+    """A network in evaluation mode on its device, float32; kept by ``pretrained.opened``.
 
     Args:
         kind: class of ``transformers``, ``"Sam3Model"``.
@@ -50,28 +50,14 @@ def network(kind: str, folder: Path, stamp: str, device: Any) -> Any:
     Raises:
         InputError: the weights are damaged, or do not fill this network: the rest would be random.
     """
-    import torch
-    import transformers
-
-    bars = transformers.utils.logging
-    shown = bars.is_progress_bar_enabled()
-    bars.disable_progress_bar()  # the terminal is the survey's
-    try:
-        found, report = getattr(transformers, kind).from_pretrained(
-            folder, local_files_only=True, output_loading_info=True, dtype=torch.float32
-        )
-    except Exception as error:  # whatever the library raises, the folder cannot be used
-        raise InputError(f"{folder} cannot be loaded as {kind} ({_first_line(error)}); download it again.") from error
-    finally:
-        if shown:
-            bars.enable_progress_bar()
-    absent = sorted(map(str, report["missing_keys"])) + sorted(map(str, report["mismatched_keys"]))
-    if absent:
+    found = opened(kind, folder, stamp, str(device))
+    if found.missing:
+        absent = sorted(found.missing)
         raise InputError(
-            f"{folder} does not fill {kind}: {len(absent)} tensors are missing or misshapen, such as {absent[0]}; "
-            "give weights of this kind of network."
+            f"the weights in {folder} lack {len(absent)} of the buffers of {kind}, such as {absent[0]}; give weights "
+            "of this kind of network."
         )
-    return found.eval().requires_grad_(False).to(device)
+    return found.model
 
 
 @lru_cache(maxsize=3)
@@ -90,9 +76,5 @@ def tokenizer(folder: Path, stamp: str) -> Any:
         return AutoTokenizer.from_pretrained(folder, local_files_only=True)
     except Exception as error:  # whatever the library raises, there is no tokenizer
         raise InputError(
-            f"{folder} holds a tokenizer that cannot be read ({_first_line(error)}); download it again."
+            f"{folder} holds a tokenizer that cannot be read ({first_line(error)}); download it again."
         ) from error
-
-
-def _first_line(error: BaseException) -> str:
-    return next((line.strip().rstrip(".") for line in str(error).splitlines() if line.strip()), type(error).__name__)

@@ -14,7 +14,8 @@ What remains up to one is doubt. Evidence is therefore sparse: zero where nothin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -69,3 +70,8 @@ class Tally:
         evidence[no_surface] = 0
         silent = not self.strongest.any()
         return Segmentation(evidence, no_surface, ("none of its prompts was found in the photo.",) if silent else ())
+
+
+def told(found: Segmentation, said: Sequence[str]) -> Segmentation:
+    """The segmentation with more that the user should know."""
+    return replace(found, doubts=(*said, *found.doubts))

@@ -52,6 +52,7 @@ def opened(kind: str, folder: Path, state: str, device: str) -> Opened:
             ) from error
     missing = frozenset(told["missing_keys"])
     absent = sorted(missing & {name for name, _ in model.named_parameters()})
+    absent += sorted(map(str, told["mismatched_keys"]))
     if absent:
         raise InputError(
             f"the weights in {folder} lack {len(absent)} of the parameters of {kind}, such as {absent[0]}: they are of "

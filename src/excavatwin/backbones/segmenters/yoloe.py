@@ -16,11 +16,16 @@ from excavatwin.backbones.device import Device, halving
 from excavatwin.backbones.lattices import Fit
 from excavatwin.backbones.protocols import Picture, Segmentation
 from excavatwin.backbones.segmenters import sight, yoloe_network, yoloe_prompts
-from excavatwin.backbones.segmenters.instances import Tally
+from excavatwin.backbones.segmenters.instances import Tally, told
 from excavatwin.backbones.segmenters.prompts import CHANNELS, NO_SURFACE, read_prompts
 from excavatwin.errors import InputError, require
 from excavatwin.scene.taxonomy import K
 from excavatwin.vocabularies import digest, resolve
+
+#: Sides of the network's input are multiples of this [px].
+_STRIDE = 32
+#: Inputs are not shrunk below this when memory runs out [px].
+_LEAST = 256
 
 
 @dataclass(frozen=True)
@@ -116,7 +121,15 @@ class Yoloe:
         """
         sight.checked(picture.image, self.card.name)
         extras.need(self.card)
-        return halving(lambda _: self._seen(picture.image), 1, 1, lambda _: None)
+        said: list[str] = []
+        found = halving(
+            lambda steps: replace(self, long_side=_STRIDE * steps)._seen(picture.image),
+            self.long_side // _STRIDE,
+            min(self.long_side // _STRIDE, _LEAST // _STRIDE),
+            said.append,
+            f"x {_STRIDE} px on the long side of the network's input",
+        )
+        return told(found, said)
 
     def save_embeddings(self, file: Path) -> None:
         """Write the embeddings of the prompts, for machines without text encoder (field ``embeddings``)."""

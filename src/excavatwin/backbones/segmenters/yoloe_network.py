@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int
 
 from excavatwin.backbones.segmenters.preparation import read_json
+from excavatwin.backbones.segmenters.pretrained import first_line
 from excavatwin.errors import InputError
 
 #: Read by Ultralytics when it is imported.
@@ -142,7 +143,7 @@ def _unpickled(file: Path, trusted: bool) -> Any:
         checkpoint, _ = torch_safe_load(str(file), safe_only=not trusted)
     except Exception as error:  # whatever the library raises, the file cannot be used
         advice = "download it again" if trusted else "if you trust its origin, set --yoloe.trusted true"
-        raise InputError(f"{file} cannot be opened ({_first_line(error)}); {advice}.") from error
+        raise InputError(f"{file} cannot be opened ({first_line(error)}); {advice}.") from error
     return checkpoint.get("ema") or checkpoint.get("model")
 
 
@@ -163,7 +164,7 @@ def _filled(file: Path) -> Any:
         tensors = {_plain(name): tensor for name, tensor in load_file(file).items()}
         report = network.load_state_dict(tensors, strict=False)
     except (SafetensorError, RuntimeError, OSError, SyntaxError) as error:
-        raise InputError(f"{file} does not fill {named} ({_first_line(error)}); download it again.") from error
+        raise InputError(f"{file} does not fill {named} ({first_line(error)}); download it again.") from error
     if report.missing_keys:
         absent = report.missing_keys
         raise InputError(f"{file} lacks {len(absent)} tensors of {named}, such as {absent[0]}; give other weights.")
@@ -187,7 +188,3 @@ def _environment(wanted: dict[str, str], unless_set: dict[str, str]) -> Iterator
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def _first_line(error: BaseException) -> str:
-    return next((line.strip().rstrip(".") for line in str(error).splitlines() if line.strip()), type(error).__name__)
