@@ -184,7 +184,7 @@ def _fit(pairs: Sequence[tuple[Map, Map]]) -> _Peak:
 def _ways(shape: tuple[int, int]) -> Iterator[tuple[Callable[[Map], Map], str, str]]:
     """How to bring evidence back, with the mistake that this undoes."""
     for turn, cause, _ in TURNS[1:]:
-        said = cause.replace("the images are", "the evidence is").replace("of the images are", "of the evidence are")
+        said = cause.replace("of the images are", "of the evidence are").replace("the images are", "the evidence is")
         if turn(np.empty(shape)).shape == shape:
             yield _turning(turn), said, "turn it back onto the picture's pixels"
     H, W = shape

@@ -70,20 +70,24 @@ def _against_lattice(views: Sequence[View]) -> tuple[Finding, ...]:
         if np.abs(there[:, :2] - corners[:, :2]).max() > CONSISTENT:
             wrong.append(view.name)
             shifts.append(view.K_cam[:2, 2] - carried[:2, 2])
-            ratios.append(view.K_cam[0, 0] / carried[0, 0])
+            ratios.append(np.diag(view.K_cam)[:2] / np.diag(carried)[:2])
     if not wrong:
         return ()
     dx, dy = np.median(shifts, axis=0)
-    ratio = float(np.median(ratios))
-    cause, remedy = _lattice_cause(float(dx), float(dy), ratio)
+    across, down = (float(r) for r in np.median(ratios, axis=0))
+    cause, remedy = _lattice_cause(float(dx), float(dy), across, down)
     what = f"K of {named(wrong, len(views))} is not that of the photo carried over by the lattice"
-    figures = {"shift_x_px": float(dx), "shift_y_px": float(dy), "ratio": ratio}
-    return (refusal(f"{what} (off by {dx:+.2f}, {dy:+.2f} px, {ratio:.3g} times)", cause, remedy, **figures),)
+    figures = {"shift_x_px": float(dx), "shift_y_px": float(dy), "ratio_x": across, "ratio_y": down}
+    off = f"off by {dx:+.2f}, {dy:+.2f} px, {across:.3g} x {down:.3g} times"
+    say = report if half_pixel(float(dx), float(dy)) and cause.startswith("half") else refusal
+    return (say(f"{what} ({off})", cause, remedy, **figures),)
 
 
-def _lattice_cause(dx: float, dy: float, ratio: float) -> tuple[str, str]:
-    if abs(ratio - 1) > 0.01:
-        return f"one of both belongs to an image {ratio:.3g} times as large", "make K_cam affine @ K_photo"
+def _lattice_cause(dx: float, dy: float, across: float, down: float) -> tuple[str, str]:
+    if abs(across / down - 1) > 0.01:
+        return "one of both is stretched, the other cropped or padded", "make K_cam affine @ K_photo"
+    if abs(across - 1) > 0.01:
+        return f"one of both belongs to an image {across:.3g} times as large", "make K_cam affine @ K_photo"
     if half_pixel(dx, dy):
         return "half a pixel: one of both counts pixel centres at whole numbers", "pixel centres lie at +0.5 in both"
     return "the offset of the crop or padding is in one of both only", "make K_cam affine @ K_photo"
@@ -104,7 +108,7 @@ def _half_pixel(views: Sequence[View]) -> tuple[Finding, ...]:
     if 2 * len(wrong) <= len(views):  # now and then a refined principal point lies there by chance
         return ()
     return (
-        refusal(
+        report(
             f"K of {named(wrong, len(views))} has its principal point at exactly ((W - 1) / 2, (H - 1) / 2)",
             "half a pixel: K counts pixel centres at whole numbers",
             "add 0.5 to cx and cy; pixel centres lie at +0.5 and the middle of the lattice at (W / 2, H / 2)",

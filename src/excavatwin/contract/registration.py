@@ -70,9 +70,12 @@ def grey(image: UInt8[np.ndarray, "H W 3"], sigma: float = KERNEL) -> Float32[np
 
 def likeness(a: Float32[np.ndarray, "H W"], b: Float32[np.ndarray, "H W"], where: Bool[np.ndarray, "H W"]) -> float:
     """Correlation of two pictures without their slow changes, where both are real."""
+    where = _inner(where)
     if where.sum() < 50:
         return 0.0
-    p, q = ((one - slow(one, max(a.shape) / 12))[where] for one in (a, b))
+    real, sigma = where.astype(np.float32), max(a.shape) / 12
+    weight = np.maximum(slow(real, sigma), 1e-3)
+    p, q = ((one - slow(one * real, sigma) / weight)[where] for one in (a, b))
     p, q = p - p.mean(), q - q.mean()
     size = float(np.sqrt((p @ p) * (q @ q)))
     return float(p @ q) / size if size > 0 else 0.0
@@ -95,13 +98,14 @@ def register(source: Source, image: UInt8[np.ndarray, "H W 3"], affine: Affine) 
             if step < 0.01:
                 break
     pixels, inside = source.on(shape, affine)
-    alike = likeness(grey(pixels), grey(image), _inner(inside))
+    alike = likeness(grey(pixels), grey(image), inside)
     return affine, alike
 
 
 def _inner(inside: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """Without the border, where blurred pictures mix in what is outside."""
-    inner = cv2.erode(inside.astype(np.uint8), np.ones((9, 9), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    reach = np.ones((9, 9) if min(inside.shape) > 200 else (5, 5), np.uint8)
+    inner = cv2.erode(inside.astype(np.uint8), reach, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return np.asarray(inner) > 0
 
 

@@ -38,7 +38,7 @@ def witnessed(views: Sequence[View], witness: Mapping[str, Float32[np.ndarray, "
     Args:
         witness: evidence of another kind for the same pixels, by the names of the views.
     """
-    able = [view for view in views if view.name in witness and view.evidence.any()]
+    able = [view for view in views if view.evidence.any() and _fits(view, witness.get(view.name))]
     if not able:
         return ()
     # few views are looked at in quarters: a test needs a scatter
@@ -59,6 +59,10 @@ def witnessed(views: Sequence[View], witness: Mapping[str, Float32[np.ndarray, "
         cause, remedy = "the class ids are in another order", f"channels 1..{K} look like {order}"
         return (_finding(cause, remedy, tables, best, reported, len(able)),)
     return ()
+
+
+def _fits(view: View, seen: Float32[np.ndarray, "h w K"] | None) -> bool:
+    return seen is not None and seen.shape == view.evidence.shape
 
 
 def _tables(view: View, witness: Float32[np.ndarray, "H W K"], parts: int) -> list[Float64[np.ndarray, "C K"]]:
