@@ -366,3 +366,9 @@ def test_weights_are_never_fetched_without_consent(monkeypatch: pytest.MonkeyPat
     assert consent(download=False)("Download the weights?") is False
     assert consent(download=True)("Download the weights?") is True
     assert "--download" in capsys.readouterr().err
+
+
+def test_a_class_that_is_mapped_twice_is_refused() -> None:
+    twice = ["gravel=other_terrain", "Gravel=obstacle"]
+    with pytest.raises(InputError, match="speaks of 'Gravel' twice"):
+        read_plan(None, None, Choice(segmenters=["segformer"], remap=twice))

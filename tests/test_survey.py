@@ -386,3 +386,16 @@ def test_fingerprints_tell_stages_values_and_twins_apart() -> None:
     a = np.zeros((2, 3), np.uint8)
     assert fingerprint.of_array(a) != fingerprint.of_array(a.reshape(3, 2))
     assert fingerprint.of_code("excavatwin.survey") != fingerprint.of_code("excavatwin.capture")
+
+
+def test_code_of_a_plugin_counts_and_nothing_that_lies_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "lone_plugin.py").write_text("a = 1")
+    first = fingerprint.of_code("lone_plugin")
+    (tmp_path / "something_else.py").write_text("b = 1")
+    assert fingerprint.of_code("lone_plugin") == first
+    (tmp_path / "lone_plugin.py").write_text("a = 2")
+    assert fingerprint.of_code("lone_plugin") != first
+    assert fingerprint.of_code("__main__") is not None

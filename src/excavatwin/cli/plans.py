@@ -116,9 +116,7 @@ def _remapped(plan: Plan, remap: Sequence[str]) -> Plan:
     """Every segmenter that has classes of its own is told what the user maps otherwise."""
     from excavatwin.vocabularies import parse_remap
 
-    wanted: dict[str, str] = {}
-    for text in remap:
-        wanted |= parse_remap(text)
+    wanted = parse_remap(list(remap))
     named: dict[str, Any] = dict(plan.segmenters)
     with_classes = [name for name, one in named.items() if "remap" in {field.name for field in fields(one)}]
     if not with_classes:

@@ -80,14 +80,20 @@ def of_array(array: np.ndarray) -> str:
 def of_code(*modules: str) -> str:
     """Digest of the source in the folders of modules: a changed algorithm must not answer from an old cache.
 
-    The version alone would do for releases; this holds for everyone who works on the code as well.
+    The version alone would do for releases; this holds for everyone who works on the code as well. Of a module that
+    is no part of a package only its own file counts.
     """
     digest = hashlib.blake2b(digest_size=10)
     for module in modules:
-        spec = importlib.util.find_spec(module)
+        try:
+            spec = importlib.util.find_spec(module)
+        except ValueError:  # a class of the script that runs
+            spec = None
         if spec is None or spec.origin is None:
             continue  # a stage given from outside the package; its parameters still count
-        for path in sorted(Path(spec.origin).parent.rglob("*.py")):
+        origin = Path(spec.origin)
+        alone = "." not in module and origin.name != "__init__.py"  # beside it lie all that is installed
+        for path in [origin] if alone else sorted(origin.parent.rglob("*.py")):
             digest.update(path.name.encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -19,8 +19,7 @@ from excavatwin.survey.journal import Journal
 
 #: Rooms whose code decides what a reconstructor delivers, besides its own.
 _SHARED = (
-    "excavatwin.backbones.sequence",
-    "excavatwin.backbones.finished",
+    "excavatwin.backbones",
     "excavatwin.contract",
     "excavatwin.kernels",
     "excavatwin.geometry",

@@ -54,7 +54,7 @@ def segment(
 
 
 def _stage(model: Segmenter) -> str:
-    code = fingerprint.of_code(type(model).__module__)
+    code = fingerprint.of_code("excavatwin.backbones", "excavatwin.vocabularies", type(model).__module__)
     return f"segment/{fingerprint.key(excavatwin.__version__, code, model.identity(), model)}"
 
 
