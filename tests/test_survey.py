@@ -374,6 +374,16 @@ def test_memory_is_estimated_before_it_runs_out(photos: Path, monkeypatch: pytes
     assert memory.estimate(75, 640) > memory.estimate(23, 640) > memory.estimate(23, 320)
 
 
+def test_only_photos_that_are_used_need_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    from excavatwin.backbones.reconstructors.vggt import Vggt
+    from excavatwin.backbones.sequence.selection import Selection
+
+    monkeypatch.setattr(memory, "available", lambda: memory.estimate(50, 518))
+    assert memory.check(Vggt(selection=Selection(most=50)), 5000, 0.75) == ()
+    with pytest.raises(InputError, match=r"--vggt\.selection\.most\), or use a smaller lattice \(--vggt\.lattice"):
+        memory.check(Vggt(), 5000, 0.75)
+
+
 def test_fingerprints_tell_stages_values_and_twins_apart() -> None:
     keys = {
         fingerprint.key(FakeMapper()),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from dataclasses import fields, is_dataclass
 
+from excavatwin.backbones.protocols import Reconstructor
 from excavatwin.backbones.sequence.memory import available
 from excavatwin.errors import InputError
 
-__all__ = ["available", "check", "cores", "estimate", "lattice_of"]
+__all__ = ["available", "check", "cores", "estimate", "lattice_of", "used_of"]
 
 #: Interpreter, libraries and compiled kernels [bytes].
 _FLOOR = 450e6
@@ -28,16 +30,32 @@ def lattice_of(reconstructor: object) -> int:
     return int(getattr(reconstructor, "lattice", 640))
 
 
-def check(photos: int, lattice: int, aspect: float) -> tuple[str, ...]:
+def used_of(reconstructor: object, photos: int) -> int:
+    """Of so many photos how many it uses at the most."""
+    most = getattr(getattr(reconstructor, "selection", None), "most", None)
+    return photos if most is None else min(photos, most)
+
+
+def check(reconstructor: Reconstructor, found: int, aspect: float) -> tuple[str, ...]:
     """A warning where memory is short; a refusal where it cannot do.
+
+    Args:
+        reconstructor: that is going to be used.
+        found: photos that it is given.
+        aspect: shorter side over longer side of the lattice.
 
     Raises:
         InputError: so many photos need half as much memory again as there is.
     """
-    need, free = estimate(photos, lattice, aspect), available()
+    photos = used_of(reconstructor, found)
+    need, free = estimate(photos, lattice_of(reconstructor), aspect), available()
     if free is None or need <= free:
         return ()
-    advice = "map fewer photos at a time, or use a smaller lattice (--photogrammetry.lattice)"
+    parameters = [field.name for field in fields(reconstructor)] if is_dataclass(reconstructor) else []
+    name, fewer = reconstructor.card.name, "map fewer photos at a time"
+    if "selection" in parameters:
+        fewer += f" (--{name}.selection.most)"
+    advice = f"{fewer}, or use a smaller lattice (--{name}.lattice)" if "lattice" in parameters else fewer
     figures = f"{photos} photos need about {need / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB are available"
     if need > 1.5 * free:
         raise InputError(f"{figures}; {advice}.")

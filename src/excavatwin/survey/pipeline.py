@@ -72,7 +72,7 @@ def map_photos(
         found = _capture(source, plan, cache, journal, progress)
         check_references(plan.mapper.scale.references, found.photos)
         flattest = max(min(photo.width, photo.height) / max(photo.width, photo.height) for photo in found.photos)
-        journal.note(*memory.check(len(found.photos), memory.lattice_of(plan.reconstructor), flattest))
+        journal.note(*memory.check(plan.reconstructor, len(found.photos), flattest))
         hashes = fingerprint.of_files([photo.path for photo in found.photos], progress)
         at = Workplace(cache, journal, progress)
         obs = observe(plan.reconstructor, found.photos, hashes, at)
