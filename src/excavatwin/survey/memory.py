@@ -51,7 +51,7 @@ def check(reconstructor: Reconstructor, found: int, aspect: float) -> tuple[str,
     need, free = estimate(photos, lattice_of(reconstructor), aspect), available()
     if free is None or need <= free:
         return ()
-    parameters = [field.name for field in fields(reconstructor)] if is_dataclass(reconstructor) else []
+    parameters: list[str] = [field.name for field in fields(reconstructor)] if is_dataclass(reconstructor) else []
     name, fewer = reconstructor.card.name, "map fewer photos at a time"
     if "selection" in parameters:
         fewer += f" (--{name}.selection.most)"

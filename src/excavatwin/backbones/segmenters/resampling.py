@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float32, Float64, Int64
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -14,6 +14,15 @@ if TYPE_CHECKING:
 def centres(count: int, onto: int) -> Float64[np.ndarray, "count"]:
     """Where the centres of ``count`` pixels lie along an axis that shows the same extent with ``onto`` pixels [px]."""
     return (np.arange(count) + 0.5) * (onto / count)
+
+
+def neighbours(
+    at: Float64[np.ndarray, "n"], size: int
+) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"], Float32[np.ndarray, "n"]]:
+    """Indices of the two cells around each coordinate, and the share of the second; constant beyond the border."""
+    place = np.clip(at - 0.5, 0, size - 1)
+    first = np.floor(place).astype(np.int64)
+    return first, np.minimum(first + 1, size - 1), (place - first).astype(np.float32)
 
 
 def bilinear(
@@ -31,11 +40,7 @@ def _along(values: Float[Tensor, "..."], at: Float64[np.ndarray, "n"], axis: int
     """Linear interpolation along one axis; indices and weights are made in float64, whatever the device can do."""
     import torch
 
-    last = values.shape[axis] - 1
-    index = np.clip(at - 0.5, 0, last)
-    low = np.minimum(np.floor(index).astype(np.int64), max(last - 1, 0))
-    weight = torch.from_numpy((index - low).astype(np.float32)).to(values.device)
-    weight = weight.reshape([-1 if a == axis else 1 for a in range(values.ndim)])
-    here = values.index_select(axis, torch.from_numpy(low).to(values.device))
-    following = values.index_select(axis, torch.from_numpy(np.minimum(low + 1, last)).to(values.device))
+    first, second, share = (torch.from_numpy(part).to(values.device) for part in neighbours(at, values.shape[axis]))
+    weight = share.reshape([-1 if a == axis else 1 for a in range(values.ndim)])
+    here, following = values.index_select(axis, first), values.index_select(axis, second)
     return here + (following - here) * weight

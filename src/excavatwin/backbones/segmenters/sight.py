@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt8
 
 from excavatwin.backbones.lattices import Fit
+from excavatwin.backbones.segmenters.resampling import neighbours
 from excavatwin.errors import InputError
 
 
@@ -82,8 +83,8 @@ def returned(grid: Float[np.ndarray, "h w"], fit: Fit) -> Float32[np.ndarray, "H
     (width, height), (x0, y0) = fit.size, fit.offset
     x = (np.arange(width) + 0.5) * (fit.resized[0] / width) + x0
     y = (np.arange(height) + 0.5) * (fit.resized[1] / height) + y0
-    rows = _neighbours(y * (grid.shape[0] / fit.shape[0]), grid.shape[0])
-    cols = _neighbours(x * (grid.shape[1] / fit.shape[1]), grid.shape[1])
+    rows = neighbours(y * (grid.shape[0] / fit.shape[0]), grid.shape[0])
+    cols = neighbours(x * (grid.shape[1] / fit.shape[1]), grid.shape[1])
     grid = np.asarray(grid, np.float32)
     first, second, part = rows
     grid = grid[first] * (1 - part[:, None]) + grid[second] * part[:, None]
@@ -106,10 +107,3 @@ def from_input(boxes: Float[np.ndarray, "n 4"], fit: Fit) -> Float64[np.ndarray,
 def _scale_offset(fit: Fit) -> tuple[Float64[np.ndarray, "4"], Float64[np.ndarray, "4"]]:
     affine = fit.affine
     return np.tile(np.diag(affine[:, :2]), 2), np.tile(affine[:, 2], 2)
-
-
-def _neighbours(at: Float64[np.ndarray, "n"], size: int) -> tuple[np.ndarray, np.ndarray, Float32[np.ndarray, "n"]]:
-    """Indices of the two cells around each coordinate, and the share of the second; constant beyond the border."""
-    place = np.clip(at - 0.5, 0, size - 1)
-    first = np.floor(place).astype(np.intp)
-    return first, np.minimum(first + 1, size - 1), (place - first).astype(np.float32)
