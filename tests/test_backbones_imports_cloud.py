@@ -194,6 +194,18 @@ def test_refusals(tmp_path):
         Cloud(source=str(scan))(photos)
 
 
+@pytest.mark.parametrize("suffix", [".laz", ".las"])
+def test_a_cloud_that_was_cut_off_is_refused(tmp_path, suffix):
+    """The header is whole, so that it opens; the points are not."""
+    photos = write_photos(tmp_path / "photos")
+    scan = tmp_path / f"scan{suffix}"
+    write_cloud(scan, points(ORIGIN), 32632)
+    scan.write_bytes(scan.read_bytes()[:4000])
+    write_csv(tmp_path / "cameras.csv")
+    with pytest.raises(InputError, match=r"scan\.la[sz] cannot be read as LAS or LAZ .*copy it again"):
+        Cloud(source=str(scan))(photos)
+
+
 def test_identity_follows_the_files(tmp_path):
     write_cloud(tmp_path / "scan.laz", points())
     write_csv(tmp_path / "cameras.csv")

@@ -266,6 +266,9 @@ def test_refusals(tmp_path, photos):
     coords.write_text("somewhere\n431000 5301000\n")
     with pytest.raises(InputError, match=r"coords\.txt names no CRS in its first line, but 'somewhere'"):
         OpenDroneMap(source=str(folder))(photos)
+    coords.write_text("WGS84 UTM 99N\n431000 5301000\n")
+    with pytest.raises(InputError, match=r"coords\.txt names no CRS in its first line, but 'WGS84 UTM 99N'"):
+        OpenDroneMap(source=str(folder))(photos)
     coords.write_text("+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs\n431000 5301000\n")
     assert OpenDroneMap(source=str(folder))(photos).georeference.epsg == EPSG
     (folder / "odm_georeferencing" / "odm_georeferenced_model.laz").write_bytes(b"LASF broken")

@@ -123,7 +123,7 @@ def read_laz(path: Path, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -
 
     try:
         cloud = laspy.read(path)
-    except (OSError, ValueError, laspy.errors.LaspyException) as error:
+    except (OSError, ValueError, RuntimeError, laspy.errors.LaspyException) as error:  # of lazrs: RuntimeError
         raise InputError(f"{path} cannot be read as a LAS or LAZ cloud ({error}).") from error
     xyz = np.stack([np.asarray(axis, np.float64) for axis in (cloud.x, cloud.y, cloud.z)], -1) - origin
     extra = {name: np.asarray(cloud[name], np.uint16) for name in cloud.point_format.extra_dimension_names}

@@ -117,7 +117,14 @@ def _ply(path: Path) -> Iterator[Float64[np.ndarray, "n 3"]]:
 
 def _las(path: Path) -> Iterator[Float64[np.ndarray, "n 3"]]:
     with _opened(path) as reader:
-        for points in reader.chunk_iterator(CHUNK):
+        chunks = reader.chunk_iterator(CHUNK)
+        while True:
+            try:
+                points = next(chunks)
+            except StopIteration:
+                return
+            except Exception as error:
+                raise _damaged(path, error) from error
             yield np.stack([np.asarray(points.x), np.asarray(points.y), np.asarray(points.z)], axis=1)
 
 
@@ -126,5 +133,10 @@ def _opened(path: Path):  # type: ignore[no-untyped-def]  # laspy has no types
 
     try:
         return laspy.open(path)
-    except Exception as error:  # laspy, lazrs and struct raise half a dozen types on damaged files
-        raise InputError(f"{path} cannot be read as LAS or LAZ ({error}); copy it again or export it anew.") from error
+    except Exception as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    """Laspy, lazrs and struct raise half a dozen types on damaged files, when they open them and when they read on."""
+    return InputError(f"{path} cannot be read as LAS or LAZ ({error}); copy it again or export it anew.")

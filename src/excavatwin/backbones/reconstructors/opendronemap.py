@@ -126,7 +126,7 @@ def _crs(source: Path, found: OpenSfm) -> tuple[int, tuple[float, float]] | None
 
 def _epsg(line: str, where: Path) -> int:
     utm = re.fullmatch(r"WGS84 UTM (\d{1,2})([NS])", line.strip(), re.IGNORECASE)
-    if utm:
+    if utm and 1 <= int(utm[1]) <= 60:
         return (32600 if utm[2].upper() == "N" else 32700) + int(utm[1])
     from pyproj.exceptions import CRSError
 
