@@ -34,8 +34,11 @@ PALETTE = np.array([[0, 0, 0], [196, 132, 60], [222, 207, 170], [72, 150, 72], [
 
 
 def findings(mutation: Mutation):
+    """What the validator says when it is given no more than the mistake needs."""
     good = sound(mutation.mode)
-    return validate(mutation.change(good.observations), good.photos, good.witness)
+    photos = good.photos if mutation.by == "photos" else None
+    witness = good.witness if mutation.by == "witness" else None
+    return validate(mutation.change(good.observations), photos, witness)
 
 
 @pytest.mark.parametrize("mutation", TABLE, ids=lambda mutation: mutation.mistake)

@@ -14,6 +14,8 @@ from excavatwin.scene.observations import Observations, View
 KINDS = {"1 + exp": (1.0, np.inf), "exp": (0.0, np.inf), "sigmoid": (0.0, 1.0), "probability": (0.0, 1.0)}
 #: Rank correlation of confidence and disagreement beyond which it speaks against the confidence.
 AGAINST = 0.1
+#: Views that agree better than this have nothing that a confidence could rank: what is left is the lattice's grain.
+NOTICEABLE = 0.002
 _MOST = 12
 
 
@@ -74,7 +76,7 @@ def _against_agreement(views: Sequence[View]) -> tuple[Finding, ...]:
         apart = gaps(one, [other for _, other in made[:at] + made[at + 1 :]], Reading())
         use = np.isfinite(apart)
         confidence = view.confidence[one.pixels[:, 0], one.pixels[:, 1]][use]
-        if use.sum() >= 4 * FEWEST and np.ptp(confidence) > 0:
+        if use.sum() >= 4 * FEWEST and np.ptp(confidence) > 0 and np.median(apart[use]) > NOTICEABLE:
             correlations.append(float(np.corrcoef(_ranks(confidence), _ranks(apart[use]))[0, 1]))
     if len(correlations) < 4:
         return ()

@@ -49,7 +49,8 @@ def pictures(views: Sequence[View], photos: Photos) -> tuple[Finding, ...]:
         views: those without an image are passed over; those without a lattice are taken for the photos themselves.
         photos: some or all of the views' photos.
     """
-    able = [view for view in views if view.image is not None and view.name in photos]
+    names = frozenset(photos)  # asking a lazy mapping whether it holds a photo would read it
+    able = [view for view in views if view.image is not None and view.name in names]
     if not able:
         return ()
     chosen = [able[i] for i in np.unique(np.linspace(0, len(able) - 1, min(MOST, len(able))).astype(int))]
