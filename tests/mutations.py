@@ -53,6 +53,12 @@ POSES = [
         "the poses are world-to-camera with OpenGL axes",
         "views",
     ),
+    Mutation(
+        f"world-to-camera, OpenGL axes, turned without inverting ({_UNPROJECTED})",
+        unprojected(lambda T: FLIP @ invert_rigid(T) @ FLIP),
+        "the poses are world-to-camera with OpenGL axes",  # the same but for a turn of the world
+        "views",
+    ),
     Mutation(f"rotation transposed ({_POSE})", only_pose(transposed), "the rotation is transposed", "numbers"),
     Mutation(f"rotation transposed ({_UNPROJECTED})", unprojected(transposed), "the rotation is transposed", "views"),
     Mutation(

@@ -17,6 +17,8 @@ from excavatwin.scene.observations import View
 AT_ONE = 0.01
 #: Views that disagree by more are reported, whether or not a mistake explains it.
 REPORTED = 0.1
+#: Views that disagree by more than this belong to no surface: refused.
+HOPELESS = 0.2
 #: The greatest gap that a reading may leave if it is to be the right one.
 RIGHT = 0.05
 #: Correlation of pictures that show one place.
@@ -48,7 +50,7 @@ def crossed(views: Sequence[View]) -> tuple[Finding, ...]:
         return (refusal(_said(found, then), mistake.cause, mistake.remedy, **_figures(found, then)),)
     if found.met >= FEWEST and found.gap > REPORTED:
         return (
-            report(
+            (refusal if found.gap > HOPELESS else report)(
                 f"the views disagree about the surface by a median of {found.gap:.0%} of its distance, and no usual "
                 "mistake of convention explains it",
                 "",
