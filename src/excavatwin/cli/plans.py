@@ -44,7 +44,8 @@ def read_plan(config: Path | None, changes: Mapping[str, Any] | None, choice: Ch
     choice = choice or Choice()
     table = merge(_read(config), dict(changes or {}))
     names = table.pop("reconstructor", None), table.pop("segmenters", None)
-    plan = _with_backbones(Plan(), choice.reconstructor or names[0], choice.segmenters or names[1])
+    wanted = names[0] if choice.reconstructor is None else choice.reconstructor
+    plan = _with_backbones(Plan(), wanted, choice.segmenters or names[1])
     tables = backbone_tables(plan)
     plain = {field.name for field in fields(Plan)} - {"reconstructor", "segmenters"}
     for name in table:
@@ -89,7 +90,7 @@ def _read(config: Path | None) -> dict[str, Any]:
 def _with_backbones(plan: Plan, reconstructor: Any, segmenters: Any) -> Plan:
     from excavatwin.backbones import catalogue
 
-    if reconstructor:
+    if reconstructor is not None:
         plan = replace(plan, reconstructor=catalogue.make("reconstructor", str(reconstructor)))
     if not segmenters:
         return plan

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from excavatwin.backbones import extras, weights
 from excavatwin.backbones.cards import Card
 from excavatwin.backbones.protocols import Backbone
 from excavatwin.backbones.weights import Consent
+from excavatwin.errors import InputError
 
 
 def make_ready(backbones: Sequence[Backbone], consent: Consent) -> list[str]:
@@ -24,12 +26,26 @@ def make_ready(backbones: Sequence[Backbone], consent: Consent) -> list[str]:
         extras.need(backbone.card)
     terms = []
     for backbone in backbones:
+        _check_files(backbone)
         wanted = [str(getattr(backbone, field, "")) for field in backbone.card.weight_fields]
         if backbone.card.weights:
             for one in wanted:
                 weights.provide(backbone.card, one, consent)
         terms += [sentence for one in wanted for sentence in restrictions(backbone.card, one)]
     return list(dict.fromkeys(terms))
+
+
+def _check_files(backbone: Backbone) -> None:
+    """Refuse a reader of files that was given none, or none that exist, before anything is computed."""
+    card = backbone.card
+    if card.argument != "source":
+        return
+    source = str(getattr(backbone, "source", ""))
+    words = f"--{card.kind} {card.name}:PATH"
+    if not source:
+        raise InputError(f"{card.kind} {card.name} reads files of yours; say which: {words}.")
+    if not Path(source).expanduser().exists():
+        raise InputError(f"{card.kind} {card.name} reads {source}, which does not exist; give {words}.")
 
 
 def restrictions(card: Card, wanted: str = "") -> list[str]:

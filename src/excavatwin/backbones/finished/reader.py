@@ -20,7 +20,7 @@ from excavatwin.backbones.finished.posed_depth import PosedPhoto, on_lattice, vi
 from excavatwin.backbones.finished.shelf import Shelf
 from excavatwin.backbones.finished.splatting import Camera, surfels
 from excavatwin.backbones.finished.standing import as_found, by_photos
-from excavatwin.backbones.finished.verdict import check
+from excavatwin.backbones.finished.verdict import held, scaled
 from excavatwin.errors import InputError, require
 from excavatwin.scene.observations import Observations, Unplaced, View
 from excavatwin.scene.photo import Photo
@@ -95,6 +95,7 @@ class Finished(ABC):
             shelf.add(view)
         progress("read depth", len(ready), len(ready))
         views = shelf.views()
+        said += held(views, scene.where)
         frame = as_found(scene, views, photos, origin) or by_photos(scene, views, photos)
         said = [*scene.doubts, *matches.doubts, *dict.fromkeys(text for text in said if text), *frame.doubts]
         facts = {
@@ -107,7 +108,7 @@ class Finished(ABC):
         }
         tie, without = frame.georeference, (*matches.unplaced, *unplaced)
         obs = Observations(frame.views, frame.up, frame.metres_per_unit, tie, without, tuple(said), facts)
-        return check(obs, scene.where)
+        return replace(obs, doubts=(*obs.doubts, *scaled(obs, scene.where)))
 
     def _through_maps(
         self, scene: Scene, origin: Float64[np.ndarray, "3"], ready: Sequence[Ready], progress: Progress

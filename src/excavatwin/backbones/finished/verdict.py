@@ -3,46 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from excavatwin.contract.cameras import intrinsics, units
-from excavatwin.contract.findings import Severity
+from excavatwin.contract.findings import Finding, Severity
 from excavatwin.contract.reprojection import REPORTED, reprojection
 from excavatwin.contract.views import crossed
 from excavatwin.errors import InputError
-from excavatwin.scene.observations import Observations
+from excavatwin.scene.observations import Observations, View
 from excavatwin.scene.photo import Photo
 
 THIN = 0.02
 """Photos of which less than this share has depth are counted in a doubt."""
 
 
-def check(obs: Observations, where: str) -> Observations:
-    """The observations with doubts about what does not quite fit.
+def held(views: Sequence[View], where: str) -> tuple[str, ...]:
+    """Doubts about views as the files have them, before their frame is turned: an inverted pose shows only then.
 
     Raises:
-        InputError: points miss their own pixels, no view has depth, or a mistake of convention explains why views
-            contradict each other.
+        InputError: points miss their own pixels, no view has depth, or views contradict each other.
     """
-    covered = np.array([float(np.mean(~np.isnan(view.points[..., 0]))) for view in obs.views])
+    covered = np.array([float(np.mean(~np.isnan(view.points[..., 0]))) for view in views])
     if not covered.any():
         raise InputError(f"no photo of {where} has a single depth; its depth maps are empty or its poses do not fit.")
-    for view in obs.views:
+    for view in views:
         found = reprojection(view.points, view.T_R_cam, view.K_cam)
         if found is not None and found.median > REPORTED:
             cause = found.cause or "its cameras and depth maps do not belong together"
             raise InputError(f"{view.name} of {where}: points miss their pixels by {found.median:.1f} px; {cause}.")
-    doubts = list(obs.doubts)
+    doubts = []
     if (covered < THIN).any():
         doubts.append(f"{int((covered < THIN).sum())} of {len(covered)} photos have hardly any depth in {where}.")
-    for finding in (*intrinsics(obs.views), *crossed(obs.views), *units(obs)):
+    return (*doubts, *_said((*intrinsics(views), *crossed(views)), where))
+
+
+def scaled(obs: Observations, where: str) -> tuple[str, ...]:
+    """Doubts about the unit of observations.
+
+    Raises:
+        InputError: what is declared as metres is none.
+    """
+    return _said(units(obs), where)
+
+
+def _said(findings: Sequence[Finding], where: str) -> tuple[str, ...]:
+    for finding in findings:
         if finding.severity is Severity.REFUSE:
             raise InputError(f"{where}: {finding}")
-        doubts.append(f"{where}: {finding}")
-    return replace(obs, doubts=tuple(doubts))
+    return tuple(f"{where}: {finding}" for finding in findings)
 
 
 def gps_residual(epsg: int, centres: Mapping[str, Float64[np.ndarray, "3"]], photos: Sequence[Photo]) -> float:
