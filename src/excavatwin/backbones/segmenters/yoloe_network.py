@@ -49,12 +49,18 @@ class Detections:
 def quietly() -> None:
     """Import Ultralytics without telemetry, installs, downloads, messages, and without settings outside this process.
 
-    A user's ``YOLO_CONFIG_DIR`` is left in force. Somebody else's earlier import in this process is left as it is.
+    A user's ``YOLO_CONFIG_DIR`` is left in force. Somebody else's earlier import in this process is left as it is, but
+    for Pillow's ``Image.open``: Ultralytics puts its own in its place, which asks for pi_heif where a file is no image.
     """
+    from PIL import Image
+
     if "ultralytics" in sys.modules:
+        Image.open = getattr(sys.modules.get("ultralytics.utils.patches"), "_image_open", Image.open)
         return
+    unpatched = Image.open
     with TemporaryDirectory(prefix="excavatwin-yolo-") as folder, _environment(_QUIET, {"YOLO_CONFIG_DIR": folder}):
         import ultralytics.nn.tasks  # noqa: F401
+    Image.open = unpatched
 
 
 @lru_cache(maxsize=2)
