@@ -42,7 +42,7 @@ test: $(STAMP)
 	$(BIN)/python -m pytest
 
 test-backbones: $(NETWORKS_STAMP)
-	HF_HUB_OFFLINE=1 $(NETWORKS)/bin/python -m pytest -m "not slow" --ignore-glob="*mutations.py" --ignore-glob="*validation.py" tests/test_backbones_*.py
+	HF_HUB_OFFLINE=1 $(NETWORKS)/bin/python -m pytest -m "not slow" tests/test_backbones_*.py
 
 lint: $(STAMP)
 	$(BIN)/ruff check src tests
