@@ -17,9 +17,9 @@ from excavatwin.backbones.photogrammetry.matching import choose_pairs, match
 from excavatwin.backbones.photogrammetry.placement import PlacedCamera
 from excavatwin.backbones.photogrammetry.poses import structure_from_motion
 from excavatwin.backbones.photogrammetry.similarity import fit_similarity
-from excavatwin.backbones.photogrammetry.undistortion import undistort, unproject
+from excavatwin.backbones.photogrammetry.undistortion import undistort
 from excavatwin.errors import InputError, ReconstructionError
-from excavatwin.scene.frames import project
+from excavatwin.scene.frames import project, unproject
 from excavatwin.scene.observations import Lattice
 from excavatwin.scene.photo import GpsFix, Photo
 from excavatwin.scene.progress import silent

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ast
 import difflib
-import inspect
 import itertools
 import textwrap
 import types
@@ -13,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
+from excavatwin.backbones.parameters import meanings_of
 from excavatwin.cli.values import convert, toml_value
 from excavatwin.errors import InputError
 
@@ -53,13 +52,7 @@ def field_meanings(stage: type) -> dict[str, str]:
     """Field name -> the docstring under it."""
     found: dict[str, str] = {}
     for cls in reversed(stage.__mro__[:-1]):
-        body = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0]
-        statements = getattr(body, "body", [])
-        for field, text in itertools.pairwise(statements):
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
-                constant = text.value
-                if isinstance(constant, ast.Constant) and isinstance(constant.value, str):
-                    found[field.target.id] = " ".join(constant.value.split())
+        found |= meanings_of(cls)
     return found
 
 

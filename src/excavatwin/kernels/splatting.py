@@ -23,6 +23,29 @@ def _meet(x, y, z, nx, ny, nz, a, b):
 
 
 @_jit
+def _seen(xyz, normal, radius, R, t, K, least, rows, cols):
+    """A disc in the camera: radius, centre, normal, and the pixels that it may cover (none when it is not in sight)."""
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    px, py, pz = float(xyz[0]), float(xyz[1]), float(xyz[2])
+    z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+    r = max(float(radius), least * z / fx)
+    if z <= 2 * r:
+        return r, 0.0, 0.0, z, 0.0, 0.0, 0.0, 0, 0, 0, 0
+    x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
+    y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
+    u, v, w, h = fx * x / z + cx, fy * y / z + cy, fx * r / (z - r), fy * r / (z - r)
+    if u + w < 0 or v + h < 0 or u - w > cols or v - h > rows:
+        return r, x, y, z, 0.0, 0.0, 0.0, 0, 0, 0, 0
+    mx, my, mz = float(normal[0]), float(normal[1]), float(normal[2])
+    nx = R[0, 0] * mx + R[0, 1] * my + R[0, 2] * mz
+    ny = R[1, 0] * mx + R[1, 1] * my + R[1, 2] * mz
+    nz = R[2, 0] * mx + R[2, 1] * my + R[2, 2] * mz
+    top, bottom = max(0, math.ceil(v - h - 0.5)), min(rows - 1, math.floor(v + h - 0.5)) + 1
+    left, right = max(0, math.ceil(u - w - 0.5)), min(cols - 1, math.floor(u + w - 0.5)) + 1
+    return r, x, y, z, nx, ny, nz, top, bottom, left, right
+
+
+@_jit
 def nearest_discs(xyz, normal, radius, R, t, K, least, nearest):
     """The first disc on every pixel's ray.
 
@@ -35,23 +58,12 @@ def nearest_discs(xyz, normal, radius, R, t, K, least, nearest):
     rows, cols = nearest.shape
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     for i in range(len(xyz)):
-        px, py, pz = float(xyz[i, 0]), float(xyz[i, 1]), float(xyz[i, 2])
-        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
-        r = max(float(radius[i]), least * z / fx)
-        if z <= 2 * r:
-            continue
-        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
-        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
-        u, v, w, h = fx * x / z + cx, fy * y / z + cy, fx * r / (z - r), fy * r / (z - r)
-        if u + w < 0 or v + h < 0 or u - w > cols or v - h > rows:
-            continue
-        mx, my, mz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
-        nx = R[0, 0] * mx + R[0, 1] * my + R[0, 2] * mz
-        ny = R[1, 0] * mx + R[1, 1] * my + R[1, 2] * mz
-        nz = R[2, 0] * mx + R[2, 1] * my + R[2, 2] * mz
-        for row in range(max(0, math.ceil(v - h - 0.5)), min(rows - 1, math.floor(v + h - 0.5)) + 1):
+        r, x, y, z, nx, ny, nz, top, bottom, left, right = _seen(
+            xyz[i], normal[i], radius[i], R, t, K, least, rows, cols
+        )
+        for row in range(top, bottom):
             b = (row + 0.5 - cy) / fy
-            for col in range(max(0, math.ceil(u - w - 0.5)), min(cols - 1, math.floor(u + w - 0.5)) + 1):
+            for col in range(left, right):
                 depth, d2 = _meet(x, y, z, nx, ny, nz, (col + 0.5 - cx) / fx, b)
                 if d2 <= r * r and depth < nearest[row, col]:
                     nearest[row, col] = depth
@@ -73,23 +85,12 @@ def blend_discs(xyz, normal, radius, R, t, K, least, share, nearest, total, weig
     rows, cols = nearest.shape
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     for i in range(len(xyz)):
-        px, py, pz = float(xyz[i, 0]), float(xyz[i, 1]), float(xyz[i, 2])
-        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
-        r = max(float(radius[i]), least * z / fx)
-        if z <= 2 * r:
-            continue
-        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
-        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
-        u, v, w, h = fx * x / z + cx, fy * y / z + cy, fx * r / (z - r), fy * r / (z - r)
-        if u + w < 0 or v + h < 0 or u - w > cols or v - h > rows:
-            continue
-        mx, my, mz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
-        nx = R[0, 0] * mx + R[0, 1] * my + R[0, 2] * mz
-        ny = R[1, 0] * mx + R[1, 1] * my + R[1, 2] * mz
-        nz = R[2, 0] * mx + R[2, 1] * my + R[2, 2] * mz
-        for row in range(max(0, math.ceil(v - h - 0.5)), min(rows - 1, math.floor(v + h - 0.5)) + 1):
+        r, x, y, z, nx, ny, nz, top, bottom, left, right = _seen(
+            xyz[i], normal[i], radius[i], R, t, K, least, rows, cols
+        )
+        for row in range(top, bottom):
             b = (row + 0.5 - cy) / fy
-            for col in range(max(0, math.ceil(u - w - 0.5)), min(cols - 1, math.floor(u + w - 0.5)) + 1):
+            for col in range(left, right):
                 depth, d2 = _meet(x, y, z, nx, ny, nz, (col + 0.5 - cx) / fx, b)
                 if d2 <= r * r and depth <= nearest[row, col] + r:
                     near = 1 - d2 / (r * r)

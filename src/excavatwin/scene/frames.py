@@ -8,7 +8,7 @@ poses are camera-to-world (``T_R_cam``); pixel centres lie at +0.5.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float32, Float64
 
 
 def invert_rigid(T_a_b: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"]:
@@ -49,6 +49,17 @@ def project(
     with np.errstate(divide="ignore", invalid="ignore"):
         uv = p_cam[..., :2] / z[..., None] * np.array([K_cam[0, 0], K_cam[1, 1]]) + K_cam[:2, 2]
     return uv, z
+
+
+def unproject(
+    depth: Float32[np.ndarray, "H W"], K_cam: Float64[np.ndarray, "3 3"], T_R_cam: Float64[np.ndarray, "4 4"]
+) -> Float32[np.ndarray, "H W 3"]:
+    """World point of every pixel from its depth along the optical axis; NaN stays NaN."""
+    height, width = depth.shape
+    v, u = np.mgrid[:height, :width] + 0.5
+    z = depth.astype(float)
+    p_cam = np.stack([(u - K_cam[0, 2]) / K_cam[0, 0] * z, (v - K_cam[1, 2]) / K_cam[1, 1] * z, z], axis=-1)
+    return (p_cam @ T_R_cam[:3, :3].T + T_R_cam[:3, 3]).astype(np.float32)
 
 
 def umeyama(

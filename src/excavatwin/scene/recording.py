@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, UInt8, UInt16
 
 from excavatwin.errors import InputError
-from excavatwin.scene.frames import transform
+from excavatwin.scene.frames import unproject
 from excavatwin.scene.grid import Grid
 from excavatwin.scene.observations import Georeference
 from excavatwin.scene.taxonomy import TaskClass
@@ -107,11 +107,7 @@ class Frame:
             raise InputError(f"frame {self.name} has no world points: it lacks depth, intrinsics or pose.")
         if any(self.distortion):
             raise InputError(f"frame {self.name} has no world points: its depth belongs to a distorted photo.")
-        depth = self.depth()
-        K, (rows, cols) = self.K_cam, depth.shape
-        u, v = np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5)
-        x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
-        return transform(self.T_W_cam, np.stack([x, y, np.ones_like(x)], -1) * depth[..., None]).astype(np.float32)
+        return unproject(self.depth(), self.K_cam, self.T_W_cam)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 import math
 import os
 import re
 import subprocess
 import sys
-import textwrap
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
@@ -18,6 +15,7 @@ from typing import Any
 from excavatwin.backbones.cards import Card
 from excavatwin.backbones.conformance.calls import first_line
 from excavatwin.backbones.conformance.report import Row, failed, judged, passed, unchecked
+from excavatwin.backbones.parameters import meanings_of
 from excavatwin.errors import ExcavatwinError
 
 HEAVY = ("torch", "transformers", "tensorflow", "jax", "onnxruntime", "ultralytics")
@@ -92,24 +90,13 @@ def _documented(cls: type[Any]) -> Row:
     for one in cls.__mro__:
         try:
             if is_dataclass(one):
-                documented |= set(_docstrings(one))
+                documented |= {field for field, text in meanings_of(one).items() if text}
         except (OSError, TypeError, SyntaxError):
             return unchecked(name, f"the source of {one.__name__} cannot be read.")
     bare = [field.name for field in fields(cls) if field.init and field.name not in documented]
     if bare:
         return failed(name, f"{', '.join(bare)}: no docstring below; `excavatwin config` prints meaning and unit.")
     return passed(name)
-
-
-def _docstrings(cls: type[Any]) -> Iterator[str]:
-    """Fields of one class that have a docstring below them."""
-    (node,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
-    assert isinstance(node, ast.ClassDef)
-    for field, below in zip(node.body, node.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
-            text = below.value.value if isinstance(below.value, ast.Constant) else None
-            if isinstance(text, str) and text.strip():
-                yield field.target.id
 
 
 def _identity(backbone: Any) -> Row:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 
 from excavatwin.backbones.finished.lenses import Lens
 from excavatwin.capture import read_photo
+from excavatwin.scene.frames import unproject
 from excavatwin.scene.observations import Lattice, View
 from excavatwin.scene.photo import Photo
 from excavatwin.scene.taxonomy import TASK_CLASSES
@@ -50,15 +51,6 @@ class PosedPhoto:
         if depth is not None:
             factor = min(factor, float(depth.lens.K[0, 0] / self.lens.K[0, 0]))
         return max(2, round(height * factor)), max(2, round(width * factor))
-
-
-def unproject(
-    depth: Float32[np.ndarray, "H W"], K_cam: Float64[np.ndarray, "3 3"], T_R_cam: Float64[np.ndarray, "4 4"]
-) -> Float32[np.ndarray, "H W 3"]:
-    """World point of every pixel from its depth along the optical axis; NaN stays NaN."""
-    rays = _rays(depth.shape, K_cam)
-    p_cam = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1) * depth.reshape(-1, 1).astype(float)
-    return (p_cam @ T_R_cam[:3, :3].T + T_R_cam[:3, 3]).astype(np.float32).reshape(*depth.shape, 3)
 
 
 def view_of(

@@ -14,6 +14,7 @@ from excavatwin.backbones.photogrammetry.dense import Dense
 from excavatwin.backbones.photogrammetry.placement import Placement
 from excavatwin.backbones.photogrammetry.placing import Placing
 from excavatwin.errors import InputError
+from excavatwin.scene.frames import unproject
 from excavatwin.scene.observations import Observations, View
 from excavatwin.scene.photo import Photo
 from excavatwin.scene.progress import Progress, silent
@@ -75,7 +76,7 @@ class Photogrammetry:
             InputError: a placed photo is no longer among ``photos`` or can no longer be read.
         """
         from excavatwin.backbones.photogrammetry.dense import densify
-        from excavatwin.backbones.photogrammetry.undistortion import undistort, unproject
+        from excavatwin.backbones.photogrammetry.undistortion import undistort
 
         of_name = {photo.name: photo for photo in photos}
         missing = [camera.name for camera in placement.cameras if camera.name not in of_name]

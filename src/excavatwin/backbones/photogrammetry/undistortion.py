@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, UInt8
 
 from excavatwin.backbones.photogrammetry.placement import PlacedCamera, PosedImage
 from excavatwin.capture import read_photo
@@ -60,17 +60,6 @@ def _sources(
     y = b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b
     x, y = x * K_source[0, 0] + K_source[0, 2] - 0.5, y * K_source[1, 1] + K_source[1, 2] - 0.5
     return x.astype(np.float32), y.astype(np.float32)
-
-
-def unproject(
-    depth: Float32[np.ndarray, "H W"], K_cam: Float64[np.ndarray, "3 3"], T_R_cam: Float64[np.ndarray, "4 4"]
-) -> Float32[np.ndarray, "H W 3"]:
-    """World point of every pixel from its depth along the optical axis; NaN stays NaN."""
-    height, width = depth.shape
-    v, u = np.mgrid[:height, :width] + 0.5
-    z = depth.astype(float)
-    p_cam = np.stack([(u - K_cam[0, 2]) / K_cam[0, 0] * z, (v - K_cam[1, 2]) / K_cam[1, 1] * z, z], axis=-1)
-    return (p_cam @ T_R_cam[:3, :3].T + T_R_cam[:3, 3]).astype(np.float32)
 
 
 def _sized(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> UInt8[np.ndarray, "H W 3"]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
+from excavatwin.scene.frames import unproject
+
 
 def rigid(poses: Float[np.ndarray, "S rows 4"]) -> Float64[np.ndarray, "S 4 4"]:
     """Poses (3 or 4 rows) as 4 x 4 with the nearest rotation: networks' are orthonormal only to single precision.
@@ -53,15 +55,9 @@ def world_points(
         K: pixel centres at +0.5 [px].
         T: camera-to-world [su].
     """
-    S, H, W = depth.shape
-    v, u = np.mgrid[:H, :W] + 0.5
-    points = np.empty((S, H, W, 3), np.float32)
-    for s in range(S):
-        with np.errstate(invalid="ignore"):
-            z = np.where(np.isfinite(depth[s]) & (depth[s] > 0), depth[s], np.nan).astype(np.float64)
-        ray = np.stack([(u - K[s, 0, 2]) / K[s, 0, 0], (v - K[s, 1, 2]) / K[s, 1, 1], np.ones_like(u)], axis=-1)
-        points[s] = (ray * z[..., None]) @ T[s, :3, :3].T + T[s, :3, 3]
-    return points
+    with np.errstate(invalid="ignore"):
+        z = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(np.nan)).astype(np.float32)
+    return np.stack([unproject(*view) for view in zip(z, K, T, strict=True)])
 
 
 def fitted_intrinsics(points: Float32[np.ndarray, "S H W 3"]) -> Float64[np.ndarray, "S 3 3"]:
